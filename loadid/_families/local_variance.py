@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from .._inverse.choice import Choice, ungraded
 from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
 from .._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
+from .._inverse.nuisances import Marginal, linearised
+from .._inverse.posterior import WidenedPosterior
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
@@ -24,6 +26,7 @@ RESIDUAL = "residual"  # noise that tests left, which another record may have le
 CONSTANT = "asked for by name"
 WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
+WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
 LONGEST_LINES = 2**18  # samples line by line
 
@@ -134,13 +137,39 @@ def unasked(choice: Choice, learned: Learned) -> Choice:
 def wrong(learned: Learned) -> str:
     """What the data tell of the errors of the model, the largest first, in words."""
     errors, prior = learned.prior.errors, learned.prior
-    beside = f"{prior.misfit:.1%} of the response is of no load and of no error that is known"
-    if errors is None:
-        return beside
+    told = [] if errors is None else _told(errors, learned.names)
+    return ", ".join([*told, f"{prior.misfit:.1%} of the response is of no load and of no error that is known"])
+
+
+def _told(errors: Marginal, names: Sequence[str]) -> list[str]:
+    """The largest errors that the data tell, in words."""
     std = np.sqrt(np.diag(errors.covariance))
     sure = [i for i in np.argsort(-np.abs(errors.mean)) if abs(errors.mean[i]) > 2 * std[i]]
-    told = [f"{learned.names[i]} {errors.mean[i]:+.1%}" for i in sure[:3]]
-    return ", ".join([*told, beside])
+    return [f"{names[i]} {errors.mean[i]:+.1%}" for i in sure[:3]]
+
+
+def widened(found: SolvedLoad, posed: Posed | None, choice: Choice) -> SolvedLoad:
+    """The answer of a constant variance with the errors of the model in its band.
+
+    Parameters
+    ----------
+    posed : Posed or None
+        Over the states of the model.
+    """
+    if posed is None or posed.nuisances is None or posed.record is None or found.posterior is None:
+        return found
+    path, record = posed.path, posed.record
+    lam, sigma2 = choice.lam * choice.scale / float(path.scale), found.facts["noise_level"] ** 2
+    wider = max(lam * WIDER, path.range[0])  # what is told of errors is not told by a load that is thought white
+
+    def solve(data: Array) -> tuple[Array, Array]:
+        return path.of_data(data, wider)[0] / sigma2, path.of_data(data, lam)[1]
+
+    errors = linearised(posed.nuisances, found.load, path.start(lam), solve, record.y, sigma2)
+    band = WidenedPosterior(found.posterior, errors.spread)
+    told = ", ".join(_told(errors, posed.nuisances.names))
+    facts = {**found.facts, "model_errors": told or "none that the data tell"}
+    return replace(found, std=band.std, posterior=band, facts=Facts.of(facts))
 
 
 def words(learned: Learned | str) -> str:

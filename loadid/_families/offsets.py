@@ -243,7 +243,8 @@ def settled(
     data = less(data, new, found.mean)
     problem = posed(data)
     after = _centred(Settled(data, problem, chosen(problem)), posed, chosen)
-    return first if moving(after) else after
+    stays = after.offsets is None or bool(np.any(np.abs(after.offsets.value) > SURE * after.offsets.std))
+    return first if not stays or moving(after) else after
 
 
 def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
@@ -262,7 +263,8 @@ def _beyond_chance(fit: Settled, channels: NDArray[np.int_]) -> Free | None:
         if found is None or found.chance() > CHANCE or np.all(np.abs(found.mean) <= LEAST * largest):
             continue
         unrest = _unrest(fit, lam, channels, found)
-        if unrest <= RESTLESS and found.chance(unrest) <= CHANCE:
+        alone = float(np.max(np.abs(found.mean) / found.std)) / np.sqrt(found.noise2 * max(unrest, 1.0))
+        if unrest <= RESTLESS and found.chance(unrest) <= CHANCE and alone > SURE:
             return found
     return None
 

@@ -30,7 +30,8 @@ from .gaussian.local_variance import Smoother, SmootherPass, Variances
 from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
-from .nuisances import SEEN, Marginal, Nuisances, marginal
+from .nuisances import Marginal, Nuisances, linearised
+from .posterior import Posterior, WidenedPosterior
 
 HALF, STRIDE = 8, 4  # samples: half-width of a bump, distance of two
 POWER = 0.8  # of the update of bumps
@@ -154,11 +155,11 @@ class StationaryPrior:
         """Number of data."""
         return self.record.data
 
-    def posterior(self, errors: Marginal | None = None) -> tuple[Array, LocalVariancePosterior, Array]:
+    def posterior(self, errors: Marginal | None = None) -> tuple[Array, Posterior, Array]:
         """Mean of the load (samples, p), its posterior with these errors of the model, and the mean first state."""
         _, load, _, _, first = Smoother(self.record, self.given).means(self.record.y)
-        spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
-        return load, LocalVariancePosterior(self.record, self.given, spread), self.given.start @ first
+        own = LocalVariancePosterior(self.record, self.given)
+        return load, own if errors is None else WidenedPosterior(own, errors.spread), self.given.start @ first
 
     def resolved(self, load: Array) -> Array:
         """What would be estimated from the noise-free response of a load (samples, p)."""
@@ -206,41 +207,15 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
     nuisances : Nuisances
         Of the problem whose record it was learned from, without memory.
     """
-    return replace(prior, errors=_linearised(prior, nuisances))
-
-
-def _linearised(prior: LocalPrior, nuisances: Nuisances) -> Marginal:
-    """Errors of the model about the load that a prior estimates; what the data cannot see of them is left out."""
-    smoother, at = Smoother(prior.record, prior.given), np.zeros(len(nuisances.names))
+    smoother = Smoother(prior.record, prior.given)
     _, load, _, _, first = smoother.means(prior.record.y)
-    start = prior.given.start @ first
-
-    def respond(record: WhitenedRecord) -> Array:
-        return forward(record, feedback(record, record.E), load, start[: record.n])[2]
 
     def solve(data: Array) -> tuple[Array, Array]:
         _, pulled, _, weighed, _ = smoother.means(data)
         return weighed, pulled
 
-    each = np.array([
-        forward(prior.record, feedback(prior.record, prior.record.E), load * one, 0.0 * start[: prior.record.n])[2]
-        for one in np.eye(load.shape[1])
-    ])  # fmt: skip
-    response, columns = nuisances.columns(at, respond)
-    seen = np.sum(columns**2 / prior.given.noise, axis=(1, 2)) * nuisances.std**2 > SEEN
-    every = np.zeros((len(at), *load.shape))
-    if not seen.any():
-        return Marginal(at, nuisances.covariance, 0.0 * at, every, 0.0, 1.0)
-    residual = np.where(prior.fit.there, prior.record.y - response, 0.0)
-    part = marginal(columns[seen], solve, residual, nuisances.covariance[np.ix_(seen, seen)], at[seen], each)
-    mean, step, covariance = np.array(at), 0.0 * at, np.array(nuisances.covariance)
-    mean[seen], step[seen], every[seen], covariance[np.ix_(seen, seen)] = (
-        part.mean,
-        part.step,
-        part.pulled,
-        part.covariance,
-    )
-    return Marginal(mean, covariance, step, every, part.gain, part.odds)
+    start, noise = prior.given.start @ first, prior.given.noise
+    return replace(prior, errors=linearised(nuisances, load, start, solve, prior.record.y, noise))
 
 
 def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
@@ -298,20 +273,18 @@ class LocalVariancePosterior:
     record : WhitenedRecord
         Its data are not used.
     given : Variances
-    spread : array, shape (k, samples, p)
-        Loads whose outer products are added: what errors of the model do, over the whole record at once.
     """
 
     kind = "local variance"
 
-    def __init__(self, record: WhitenedRecord, given: Variances, spread: Array) -> None:
+    def __init__(self, record: WhitenedRecord, given: Variances) -> None:
         self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
-        self.spread, self.shape = np.asarray(spread, float), (record.samples, record.p)
+        self.shape = record.samples, record.p
 
     @cached_property
     def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
-        return np.asarray(np.sqrt(self._smoother.variance + np.sum(self.spread**2, axis=0)))
+        return np.asarray(np.sqrt(self._smoother.variance))
 
     def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
@@ -321,8 +294,7 @@ class LocalVariancePosterior:
                              expected=f"shape {self.shape}, or a stack of such")  # fmt: skip
         if w.ndim == 3:
             return np.array([self.variance(one) for one in w])
-        own = float(np.sum(w * self._smoother.covariance_times(w)))
-        return np.asarray(max(own, 0.0) + float(np.sum(np.tensordot(self.spread, w, 2) ** 2)))
+        return np.asarray(max(float(np.sum(w * self._smoother.covariance_times(w))), 0.0))
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
@@ -330,7 +302,6 @@ class LocalVariancePosterior:
         return {
             "kind": self.kind, "F": r.F, "G": r.G, "C": r.C, "D": r.D, "E": r.E, "samples": r.kind, "free": r.free,
             "data": r.data, "v": given.load, "noise": given.noise, "start": given.start,
-            "spread": self.spread,
         }  # fmt: skip
 
     @classmethod
@@ -340,10 +311,7 @@ class LocalVariancePosterior:
         kind = np.asarray(tree["samples"]).astype(np.int32)
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
         record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
-        given = Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))
-        if "spread" in tree:
-            return cls(record, given, np.asarray(tree["spread"], float))
-        return cls(record, given, float(tree["gain"]) * np.asarray(tree["load"], float)[None])  # as first written
+        return cls(record, Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start"))))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------

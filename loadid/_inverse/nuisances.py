@@ -18,9 +18,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
+from .gaussian.gains import feedback
+from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
 
@@ -58,6 +61,9 @@ class Nuisances:
             moved[i] += STEP * std
             out.append((respond(self.record(moved)) - base) / (STEP * std))
         return base, np.array(out)
+
+
+Solve: TypeAlias = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +107,43 @@ class Marginal:
         return np.concatenate([scatter, self.shift[None]])
 
 
+def linearised(
+    nuisances: Nuisances, load: Array, start: Array, solve: Solve, data: Array, noise: Array | float
+) -> Marginal:
+    """Marginalise errors of a model about a load; what the data cannot see of them keeps its prior and moves nothing.
+
+    Parameters
+    ----------
+    nuisances : Nuisances
+    load : array, shape (samples, p)
+    start : array, shape (n,)
+        State at the first sample; further states behind it do not count.
+    solve : callable
+        As of `marginal`.
+    data : array, shape (samples, m)
+        Zero where there are none.
+    noise : array, broadcast to that shape
+        Variances.
+    """
+
+    def respond(record: WhitenedRecord, load: Array, first: Array) -> Array:
+        return forward(record, feedback(record, record.E), np.ascontiguousarray(load), first[: record.n])[2]
+
+    mean = np.zeros(len(nuisances.names))
+    response, columns = nuisances.columns(mean, lambda record: respond(record, load, start))
+    seen = np.sum(columns**2 / noise, axis=(1, 2)) * nuisances.std**2 > SEEN
+    step, covariance, every = 0.0 * mean, np.array(nuisances.covariance), np.zeros((len(mean), *load.shape))
+    if not seen.any():
+        return Marginal(mean, covariance, step, every, 0.0, 1.0)
+    plain, inside = nuisances.record(mean), np.ix_(seen, seen)
+    each = np.array([respond(plain, load * one, 0.0 * start) for one in np.eye(load.shape[1])])
+    part = marginal(columns[seen], solve, data - response, covariance[inside], mean[seen], each)
+    mean[seen], step[seen], every[seen], covariance[inside] = part.mean, part.step, part.pulled, part.covariance
+    return Marginal(mean, covariance, step, every, part.gain, part.odds)
+
+
 def marginal(
-    columns: Array, solve: Callable[[Array], tuple[Array, Array]], residual: Array, covariance: Array, at: Array,
+    columns: Array, solve: Solve, residual: Array, covariance: Array, at: Array,
     loads: Array | None = None,
 ) -> Marginal:  # fmt: skip
     """Marginalise parameters of a linearised problem.

@@ -156,6 +156,14 @@ class RegularizationPath:
         """Residual of other whitened data (samples, sensors): K^-1 times them, K = 1 + H (lambda^2 L^T L)^-1 H^T."""
         return None
 
+    def of_data(self, data: Array, lam: float) -> tuple[Array, Array]:
+        """Residual (samples, sensors) and load (samples, loads) of other whitened data."""
+        raise self._lack("estimate from other data")
+
+    def start(self, lam: float) -> Array:
+        """State at the first sample that is estimated."""
+        raise self._lack("state at the first sample")
+
     def residuals(self, lams: Array) -> Iterable[Array] | None:
         """Whitened residuals (samples, sensors) at some lambdas, near enough to test whiteness; None: no record."""
         return (self.residual(float(lam)) for lam in lams)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from importlib import import_module
 from typing import Any, Protocol, runtime_checkable
 
@@ -220,6 +221,8 @@ def from_arrays(tree: dict[str, Any]) -> Posterior:
         return FramesPosterior.from_arrays(tree)
     if tree.get("kind") == SpectralPosterior.kind:
         return SpectralPosterior(np.asarray(tree["lines"]), tree["samples"], tree["padded"])
+    if tree.get("kind") == WidenedPosterior.kind:
+        return WidenedPosterior(from_arrays(tree["own"]), np.asarray(tree["spread"], float))
     if tree.get("kind") in ELSEWHERE:
         module, name = ELSEWHERE[tree["kind"]]
         found: Posterior = getattr(import_module(module, __package__), name).from_arrays(tree)
@@ -305,6 +308,43 @@ class FramesPosterior:
         """Inverse of `to_arrays`."""
         each = [from_arrays(tree["frames"][str(i)]) for i in range(len(tree["frames"]))]
         return cls([p for p in each if isinstance(p, DensePosterior)])
+
+
+class WidenedPosterior:
+    """A posterior, and loads whose outer products are added: what errors of the model do, over the whole load at once.
+
+    Parameters
+    ----------
+    own : Posterior
+    spread : array, shape (k,) + that of the load
+    """
+
+    kind = "widened"
+
+    def __init__(self, own: Posterior, spread: Array) -> None:
+        self.own, self.spread = own, np.asarray(spread, float)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the load."""
+        return self.spread.shape[1:]
+
+    @cached_property
+    def std(self) -> Array:
+        """Standard deviation, in the shape of the load."""
+        return np.asarray(np.sqrt(self.own.std**2 + np.sum(self.spread**2, axis=0)))
+
+    def variance(self, w: Array) -> Array:
+        """Variance of ``sum(w * load)``; `w` has the shape of the load, or (k,) + that shape."""
+        w = np.asarray(w, float)
+        own = np.asarray(self.own.variance(w))
+        axes = tuple(range(1, self.spread.ndim))
+        moved = np.tensordot(w, self.spread, (tuple(range(w.ndim - len(axes), w.ndim)), axes))
+        return np.asarray(own + np.sum(moved**2, axis=-1))
+
+    def to_arrays(self) -> dict[str, object]:
+        """Plain arrays, for a result file."""
+        return {"kind": self.kind, "own": self.own.to_arrays(), "spread": self.spread}
 
 
 def dense(tree: dict[str, Any]) -> DensePosterior:

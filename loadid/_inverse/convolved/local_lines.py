@@ -46,7 +46,7 @@ from ..local_prior import (
     searched,
 )
 from ..nuisances import Marginal, marginal
-from ..posterior import SpectralPosterior
+from ..posterior import Posterior, SpectralPosterior, WidenedPosterior
 from .path import Lines, SpectralPath
 
 Array = NDArray[Any]
@@ -354,17 +354,13 @@ class LocalLinesPosterior:
         X of the covariance X X' of the input under the bumps.
     act : array of int, shape (s,)
     samples, padded : int
-    spread : array, shape (k, samples, p)
-        Loads whose outer products are added: what errors of the model do, over the whole record at once.
     """
 
     kind = "local variance, lines"
 
-    def __init__(
-        self, lines: Lines, carried: Lines, root: Array, act: Array, samples: int, padded: int, spread: Array
-    ) -> None:
+    def __init__(self, lines: Lines, carried: Lines, root: Array, act: Array, samples: int, padded: int) -> None:
         self._floor = SpectralPosterior(lines, samples, padded)
-        self.carried, self.root, self.act, self.spread = carried, root, act, np.asarray(spread, float)
+        self.carried, self.root, self.act = carried, root, act
         self.shape = (samples, lines.shape[1])
 
     @cached_property
@@ -378,7 +374,7 @@ class LocalLinesPosterior:
             at = (rows[:, None] - self.act[None]) % self._floor.padded
             columns = lags[at].transpose(0, 2, 1, 3).reshape(len(rows) * p, -1) @ self.root
             moved[rows] = np.sum(columns**2, axis=1).reshape(-1, p)
-        return np.sqrt(self._floor.std**2 + moved + np.sum(self.spread**2, axis=0))
+        return np.sqrt(self._floor.std**2 + moved)
 
     def variance(self, w: Array) -> Array:
         """Variance of ``sum(w * load)``; `w` is (samples, loads) or (k, samples, loads)."""
@@ -389,21 +385,20 @@ class LocalLinesPosterior:
         lines = np.einsum("kij,...ki->...kj", self.carried.conj(), fft.rfft(w, self._floor.padded, axis=-2))
         back = fft.irfft(lines, self._floor.padded, axis=-2)[..., self.act, :]
         columns = back.reshape(*w.shape[:-2], -1) @ self.root
-        moved = np.sum(np.tensordot(w, self.spread, ((-2, -1), (1, 2))) ** 2, axis=-1)
-        return np.asarray(self._floor.variance(w) + np.sum(columns**2, axis=-1) + moved)
+        return np.asarray(self._floor.variance(w) + np.sum(columns**2, axis=-1))
 
     def to_arrays(self) -> dict[str, object]:
         """Plain arrays, for a result file."""
         samples, padded = self._floor.samples, self._floor.padded
         return {"kind": self.kind, "lines": self._floor.lines, "carried": self.carried, "root": self.root,
-                "act": self.act, "samples": samples, "padded": padded, "spread": self.spread}  # fmt: skip
+                "act": self.act, "samples": samples, "padded": padded}  # fmt: skip
 
     @classmethod
     def from_arrays(cls, tree: dict[str, Any]) -> LocalLinesPosterior:
         """From what `to_arrays` gave."""
         lines, carried = np.asarray(tree["lines"]), np.asarray(tree["carried"])
         return cls(lines, carried, np.asarray(tree["root"], float), np.asarray(tree["act"]).astype(int),
-                   int(tree["samples"]), int(tree["padded"]), np.asarray(tree["spread"], float))  # fmt: skip
+                   int(tree["samples"]), int(tree["padded"]))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,16 +417,15 @@ class LocalLinesPrior(Judgement):
         """Number of data."""
         return self.fit.whole.samples * self.fit.whole.H.shape[1]
 
-    def posterior(self, errors: Marginal | None = None) -> tuple[Array, LocalLinesPosterior, None]:
+    def posterior(self, errors: Marginal | None = None) -> tuple[Array, Posterior, None]:
         """Mean of the load (samples, p), its posterior with these errors of the model; no state that it starts from."""
         load, one, w = self.fit.load(self.pass_.of_data[2]), self.fit.spectrum, self.pass_
         filter_, floor = self.fit.spectrum.filter(self.memory), w.floor
         kept = np.eye(len(floor)) - floor[:, None] * w.shared
         lines = one.samples * np.abs(filter_[:, None, None]) ** 2 * kept * floor
-        spread = np.zeros((0, *load.shape)) if errors is None else errors.spread
         carried = filter_[:, None, None] * kept
-        band = LocalLinesPosterior(lines, carried, w.root[0], w.act, one.samples, one.padded, spread)
-        return load, band, None
+        band = LocalLinesPosterior(lines, carried, w.root[0], w.act, one.samples, one.padded)
+        return load, band if errors is None else WidenedPosterior(band, errors.spread), None
 
     def resolved(self, load: Array) -> Array:
         """What would be estimated from the noise-free response of a load (samples, p)."""

@@ -274,7 +274,12 @@ class StateSpacePath(RegularizationPath):
 
     def left_of(self, data: Array, lam: float) -> Array:
         """Residual of other whitened data (samples, sensors), 0 where data are missing."""
-        return data - self._heard(self._again(lam, self._solved(lam)[0], data))
+        return self.of_data(data, lam)[0]
+
+    def of_data(self, data: Array, lam: float) -> tuple[Array, Array]:
+        """Residual (samples, sensors) and load (samples, loads) of other whitened data."""
+        again = self._again(lam, self._solved(lam)[0], data)
+        return data - self._heard(again), again.load
 
     def residuals(self, lams: Array) -> list[Array]:
         """Residuals for the tests of whiteness: exact for one lambda, of the nearest node for many."""

@@ -274,7 +274,7 @@ def _factor(atoms: Atoms, y: Array, support: Indices) -> tuple[Array, Array]:
     """R of the columns of the support, and Q^T y."""
     if atoms.m * len(support) <= FACTORISED:
         both = np.column_stack([atoms.columns(support), y])  # Q^T y is the last column of its R: no Q is formed
-        R = np.linalg.qr(both, mode="r")[: len(support)]
+        R = np.asarray(np.linalg.qr(both, mode="r"))[: len(support)]
         return _sound(R[:, :-1]), R[:, -1]
     from scipy.linalg import cholesky, solve_triangular
 
