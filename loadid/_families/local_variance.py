@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
 from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
-from .._inverse.local_prior import LocalPrior, local_prior, with_errors, with_misfit
+from .._inverse.local_prior import UNLIKELY, LocalPrior, local_prior, with_errors, with_misfit
 from .._inverse.nuisances import Marginal, linearised
 from .._inverse.posterior import WidenedPosterior
 from .._results.facts import Facts
@@ -28,6 +28,7 @@ WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
+FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
 LONGEST_LINES = 2**18  # samples line by line
 
 
@@ -167,9 +168,13 @@ def widened(found: SolvedLoad, posed: Posed | None, choice: Choice) -> SolvedLoa
 
     errors = linearised(posed.nuisances, found.load, path.start(lam), solve, record.y, sigma2)
     band = WidenedPosterior(found.posterior, errors.spread)
+    excess = found.excess
+    if excess is not None and errors.odds > UNLIKELY:  # is the residual that of such errors?
+        left = float(path.at(lam).residual2) - 2 * sigma2 * errors.gain
+        excess = beyond_noise(max(left, 0.0), path.m, posed.noise)
     told = ", ".join(_told(errors, posed.nuisances.names))
     facts = {**found.facts, "model_errors": told or "none that the data tell"}
-    return replace(found, std=band.std, posterior=band, facts=Facts.of(facts))
+    return replace(found, std=band.std, posterior=band, facts=Facts.of(facts), excess=excess)
 
 
 def words(learned: Learned | str) -> str:
@@ -211,6 +216,7 @@ def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: floa
         "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
-    excess = beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    fair = prior.misfit <= FAIR and not prior.contradicted
+    excess = None if fair else beyond_noise(prior.unexplained(), prior.data, posed.noise)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
                    facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip
