@@ -158,6 +158,8 @@ class Deconvolution:
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
         if prior and not isinstance(local, str):
             choice, posed = local_variance.unasked(choice, local), local.posed
+        elif self.settings.automatic and posed.gains is not None:
+            found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.automatic and len(found.load) <= local_variance.LONGEST:
             found = local_variance.widened(found, self._over_states(posed, data), choice)
         self._progress(1.0, "done")

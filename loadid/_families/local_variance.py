@@ -142,6 +142,22 @@ def wrong(learned: Learned) -> str:
     return ", ".join([*told, f"{prior.misfit:.1%} of the response is of no load and of no error that is known"])
 
 
+def widened_by_gains(found: SolvedLoad, posed: Posed, choice: Choice) -> SolvedLoad:
+    """The answer of a constant variance by measured FRFs, with errors of the gains of its sensors in the band.
+
+    A load is off by no more than the worst of them; a residual that two standard deviations of them make is theirs.
+    """
+    if posed.gains is None or posed.spectrum is None or found.posterior is None:
+        return found
+    variance, one = np.diag(posed.gains.covariance), posed.spectrum
+    band = WidenedPosterior(found.posterior, np.sqrt(variance.max()) * found.load[None])
+    excess, theirs = found.excess, 4 * variance @ (one.weight @ np.abs(one.Y) ** 2)
+    if excess is not None:
+        left = float(posed.path.at(choice.lam).residual2) - theirs
+        excess = beyond_noise(max(left, 0.0), posed.path.m, posed.noise)
+    return replace(found, std=band.std, posterior=band, excess=excess)
+
+
 def _told(errors: Marginal, names: Sequence[str]) -> list[str]:
     """The largest errors that the data tell, in words."""
     std = np.sqrt(np.diag(errors.covariance))

@@ -13,6 +13,7 @@ from loadid import Deconvolution, LoadEstimate, Noise, Penalty, Record, identify
 from loadid.constraints import NonNegative
 from structures import ForwardModel, ImpulseModel, beams, damping, loads, sensors
 from structures.errors import InputError
+from tests.campaigns import hammer
 
 DT, SAMPLES = 1 / 2000, 300
 
@@ -114,6 +115,44 @@ def test_errors_of_the_model_are_as_large_as_they_are_said_to_be() -> None:
     assert 0.07 * large.load[top] < large.std[top] < 0.2 * large.load[top]  # what all sensors share nobody tells
     with pytest.raises(InputError, match="gain, frequency, damping, shape"):
         Deconvolution(model(), noise=Noise(errors={"gian": 0.1}))
+
+
+def test_errors_of_the_model_are_in_the_band_of_a_constant_variance(tmp_path: Path) -> None:
+    """With errors that are said to be none, the posterior; with gains alone, the load that they scale."""
+    y, g = data("waves")
+    none, gain = (
+        Deconvolution(
+            model(), noise=Noise(errors={**dict.fromkeys(("frequency", "damping", "shape"), 0.0), "gain": at})
+        ).estimate(y, DT)
+        for at in (0.0, 0.03)
+    )
+    plain, default = answer("waves", "constant"), answer("waves", "auto")
+    assert none.std == pytest.approx(plain.std, rel=1e-9)
+    assert np.all(default.std >= plain.std)
+    # what is common stays 3 %, the two that are each sensor's own are told apart
+    added = np.sqrt(gain.std**2 - plain.std**2)[20:-20] / np.sqrt(np.mean(g**2))
+    assert 0.03 < np.sqrt(np.mean(added**2)) < 0.03 * np.sqrt(2)
+    w = np.random.default_rng(0).standard_normal((2, SAMPLES, 1))
+    default.save(tmp_path / "e.h5")
+    kept = LoadEstimate.read(tmp_path / "e.h5")
+    for one in w:
+        of_file, of_answer, of_plain = (e.functional(one).std for e in (kept, default, plain))
+        assert of_file == pytest.approx(of_answer, rel=1e-12)
+        assert of_answer > of_plain
+
+
+def test_gains_of_hits_are_in_the_band_of_a_slow_load() -> None:
+    given = hammer.problem(2_200_009, "slow")
+    found, exact = (
+        given.inversion().estimate(given.record, given.dt),
+        given.inversion(noise=Noise(errors={"gain": 0.0})),
+    )
+    plain = exact.estimate(given.record, given.dt)
+    assert found.load == pytest.approx(plain.load)
+    share = np.sqrt(found.std**2 - plain.std**2) / np.abs(found.load)
+    assert share == pytest.approx(np.median(share), rel=1e-3)
+    assert 0.003 < np.median(share) < 0.05  # its hits differ by 1 %, its prior by 2
+    assert found.grade.letter < plain.grade.letter or found.grade == plain.grade
 
 
 def test_what_does_not_fit_is_refused() -> None:
