@@ -19,34 +19,48 @@ from ..._inverse.gaussian.loop import Loop
 from ..._inverse.gaussian.roots import Array
 from .bank import HOP, Lifted
 
-WINDOWS = (1, 2, 4, 8)  # hops, each twice the one before
+WINDOWS = (1, 2, 4, 8)  # hops
 BEFORE = WINDOWS[-1] - 1  # hops of which the sums are kept
 GRID = 16  # hops from one prediction that is kept to the next
 BEHIND = 17  # hops at least over which the hypotheses are followed when they are woken
+REST = WINDOWS[-1]  # hops in a row without anything, after which the hypotheses sleep
 CHUNK = 64  # hops that are looked at together
+TOP = 1e6  # innovation over its std, from which there is something, as where it is no number
 RARELY = 4.5  # std of a Gaussian: as rarely is white noise beyond the bounds
 ABOVE = 1.25  # times what the record of the fit gave beyond its mean
 BELOW = 0.5  # of what a channel must cost to be named
 SHARE = 0.8  # of the load that is a reason to look
+SHOWN = 20  # samples over which a load shows
+ENDS = np.array([[float(k >= WINDOWS[-1] - w) for k in range(WINDOWS[-1])] for w in WINDOWS])  # what a window adds up
 
 
-def bounds(seen: Array, least: float) -> Array:
-    """Of the sums of each window (windows, m + 2), below which there is nothing to look at.
+def bounds(seen: Array, loads: int, least: float) -> Array:
+    """Of the sums of each window (windows, own + 3), below which there is nothing to look at.
 
     Parameters
     ----------
-    seen : array (windows, hops, m + 2)
+    seen : array (hops, windows, own + 3)
         What the record of a fit gave.
+    loads : int
     least : float
         What a channel must cost to be named, -2 log of the likelihood ratio.
     """
-    m = seen.shape[2] - 2
-    free = np.outer(np.array(WINDOWS) * HOP, np.r_[np.ones(m), m, 0])
-    free[:, -1] = m
-    mean = seen.mean(axis=1)
+    own, n, mean = seen.shape[2] - 3, np.array(WINDOWS) * HOP, seen.mean(axis=0)
+    free = np.column_stack([np.outer(n, np.r_[np.ones(own), own + loads]), np.full((len(n), 2), [max(own, 1), loads])])
     rare = mean * (1 - 2 / (9 * free) + RARELY * np.sqrt(2 / (9 * free))) ** 3  # Wilson and Hilferty
-    highest = mean + np.minimum(ABOVE * (seen.max(axis=1) - mean), BELOW * least)
-    return np.asarray(np.maximum(rare, highest))
+    cost = np.full(mean.shape, least)
+    cost[:, -2:] *= n[:, None]  # of sums, not of means
+    above = np.minimum(ABOVE * (seen.max(axis=0) - mean), BELOW * cost)
+    above[:, -1] = cost[:, -1]  # another load than at the fit: no channel is named for it
+    return np.asarray(np.maximum(rare, mean + above))
+
+
+def _turned(A: Array, WH: Array, LQ: Array, p: int) -> Array:
+    """Whitened innovations turned so that those in which a load shows most are the last p."""
+    ways = [LQ]
+    for _ in range(SHOWN):
+        ways.append(A @ ways[-1])
+    return np.linalg.svd(WH @ np.hstack(ways))[0].T[::-1]
 
 
 class Standby:
@@ -55,24 +69,30 @@ class Standby:
     Parameters
     ----------
     bank : Lifted
-    bounds : array (windows, m + 2), optional
+    LQ : array (n, any)
+        What a sample adds to the states, root of its covariance.
+    bounds : array (windows, any), optional
         Infinite by default.
     most : array (p,), optional
         Largest loads at the end of a hop; infinite by default.
     """
 
-    def __init__(self, bank: Lifted, bounds: Array | None = None, most: Array | None = None) -> None:
-        A, B, W, G, H = bank.A[0], bank.B[0], bank.W[0], bank.G[0], bank.H
+    def __init__(self, bank: Lifted, LQ: Array, bounds: Array | None = None, most: Array | None = None) -> None:
+        A, B, G, H = bank.A[0], bank.B[0], bank.G[0], bank.H
+        W, self.own = _turned(A, bank.W[0] @ H, LQ, len(bank.Cp)) @ bank.W[0], max(len(H) - len(bank.Cp), 0)
         p, self.m = len(bank.Cp), len(H)
         rows = np.vstack([np.hstack([bank.Cp - G @ H, G]), np.hstack([-W @ H, W]), np.hstack([A, B])])
-        self.loop = Loop(rows, p, self.m, bank.x0)
-        self.bounds = np.full((len(WINDOWS), 1, self.m + 2), np.inf) if bounds is None else bounds[:, None]
+        self.loop = Loop(rows, p, self.m, bank.x0, np.full(self.m, TOP))
+        self.bounds = np.full((len(WINDOWS), self.own + 3), np.inf) if bounds is None else bounds
         self.most = np.full(p, np.inf) if most is None else most
+        self.parts = np.zeros((2 * self.m, self.own + 3))
+        self.parts[: self.own, -2] = self.parts[self.own : self.m, -1] = self.parts[self.m :, self.own] = 1.0
+        self.parts[self.m : self.m + self.own, : self.own] = np.eye(self.own)
         self.sums = np.zeros((BEFORE, 2 * self.m))  # of the last hops: of the innovations, and of their squares
         self.hops: deque[Array] = deque(maxlen=BEHIND + GRID)
         self.starts: deque[Array | None] = deque(maxlen=BEHIND + GRID)  # predictions before them, where known
         self.slept = 0  # hops since it is alone
-        self.found = np.zeros((len(WINDOWS), 0, self.m + 2))  # of the last samples
+        self.found = np.zeros((0, len(WINDOWS), self.own + 3))  # of the last samples
 
     def begin(self, x: Array, hops: Array, starts: Array) -> None:
         """Be alone from a prediction on, after hops (hops, HOP, m) and the predictions before them."""
@@ -109,46 +129,41 @@ class Standby:
                 break
         taken, strange = self._judged(load, z, done)
         for k in range(max(taken - BEHIND - GRID, 0), taken):
-            self.hops.append(Y[k * HOP : (k + 1) * HOP].copy())
+            self.hops.append(np.array(Y[k * HOP : (k + 1) * HOP]))
             self.starts.append(marks.get(k))
         self.slept += taken
         return taken, strange
 
     def windows(self, z: Array) -> Array:
-        """Sums (windows, hops, m + 2) over the windows that end with each hop of innovations (hops HOP, m)."""
+        """Sums (hops, windows, own + 3) over the windows that end with each hop of innovations (hops HOP, m).
+
+        Squares of each that a load does not explain, and of all; of the sums of the former and of the others.
+        """
         m, h = self.m, len(z) // HOP
         z = z[: h * HOP].reshape(h, HOP, m)
-        new = np.empty((BEFORE + h, 2 * m))
-        new[:BEFORE] = self.sums
+        self.sums = new = np.concatenate([self.sums, np.empty((h, 2 * m))])
         np.einsum("ijk->ik", z, out=new[BEFORE:, :m])
         np.einsum("ijk,ijk->ik", z, z, out=new[BEFORE:, m:])
-        self.sums = new
-        found, one = np.empty((len(WINDOWS), h, m + 2)), new
-        for i, w in enumerate(WINDOWS):
-            if i:
-                one = one[w // 2 :] + one[: -w // 2]
-            last = one[len(one) - h :]
-            found[i, :, :m] = last[:, m:]
-            np.einsum("ij,ij->i", last[:, :m], last[:, :m] / (w * HOP), out=found[i, :, m + 1])
-        np.einsum("ijk->ij", found[:, :, :m], out=found[:, :, m])
-        return found
+        over = np.matmul(ENDS, np.ndarray((h, len(ENDS[0]), 2 * m), float, new, 0, (new.strides[0], *new.strides)))
+        means = over[:, :, :m]
+        np.multiply(means, means, out=means)
+        return np.asarray(np.matmul(over, self.parts))
 
     # -- inside -----------------------------------------------------------------------------------------------------
     def _judged(self, load: Array, z: Array, done: int) -> tuple[int, bool]:
         """Hops up to the first in which there is anything, of which so many samples were taken."""
         whole, total = done // HOP, len(z) // HOP
         self.found = self.windows(z[:done])
-        beyond = self.found > self.bounds
-        first = whole
-        if np.count_nonzero(beyond):
-            first = int(np.argmax(beyond.any(axis=(0, 2))))
+        within, first = self.found <= self.bounds, whole
+        if np.count_nonzero(within) < within.size:
+            first = int(np.argmin(within.all(axis=(1, 2))))
         ends = np.abs(load[HOP - 1 : done : HOP]) > self.most
         if np.count_nonzero(ends):
             first = min(first, int(np.argmax(ends.any(axis=1))))
         strange = first < total
         self.sums = self.sums[: BEFORE + first + 1][-BEFORE:]
         if first == whole < total:  # no numbers, or none that are finite
-            self.sums = np.concatenate([self.sums[1:], np.full((1, 2 * self.m), np.inf)])
+            self.sums = np.concatenate([self.sums[1:], np.full((1, 2 * self.m), TOP**2)])
         return first + strange, strange
 
     # -- files ------------------------------------------------------------------------------------------------------

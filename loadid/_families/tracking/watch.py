@@ -31,7 +31,7 @@ from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
 from .bank import HOP, Bits, Lifted, lifted_of
-from .standby import BEHIND, CHUNK, SHARE, Standby, bounds
+from .standby import CHUNK, REST, SHARE, Standby, bounds
 
 WINDOWS = (1, 2, 4, 8)  # hops
 KEPT = 16  # hops behind the present one at which channels may have been swapped
@@ -69,7 +69,7 @@ class Usual:
         Largest likelihood ratio against each channel.
     loudest : float
         Largest normalised squares of a window, over their mean.
-    calm : array (windows, m + 2), optional
+    calm : array (windows, any), optional
         `standby.bounds`; without them nothing sleeps.
     """
 
@@ -98,7 +98,7 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
     if bank is None or hops - skipped < FEWEST:
         return None
     start = Watch(model, bank, Usual(np.ones(len(bank.out)), np.ones(len(bank.out)), np.zeros(model.m), 1.0))
-    sums, seen, light, first = [], [], Standby(bank), skipped
+    sums, seen, light, first = [], [], Standby(bank, model.LQ), skipped
     for k in range(hops):
         hop = Y[k * HOP : (k + 1) * HOP]
         if start.patchy(hop):
@@ -109,8 +109,8 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
         start.judge(hop)
         if k >= first:
             sums.append((start.squares[-1].copy(), start.counts[-1].copy(), start.apart[-1].copy()))
-            if np.isfinite(light.found).all() and light.found.shape[1]:
-                seen.append(light.found[:, 0])
+            if len(light.found) and light.found.max() < TOP:
+                seen.append(light.found[0])
     if len(sums) < FEWEST:
         return None
     squares, counts, apart = (np.array(part) for part in zip(*sums, strict=True))
@@ -124,7 +124,7 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
         ratios, loud, _ = again.ratios()
         most, loudest = np.maximum(most, ratios.max(axis=0)), max(loudest, loud)
     least = SURE + MORE * float(most.min())
-    return Usual(level, own, most, loudest, bounds(np.array(seen).swapaxes(0, 1), least) if seen else None)
+    return Usual(level, own, most, loudest, bounds(np.array(seen), model.m - light.own, least) if seen else None)
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class Watch:
         self.order = np.arange(m)
         self._hops = np.array(WINDOWS)
         self._take(bank)
-        self.light = None if usual.calm is None else Standby(bank, usual.calm, SHARE * FARTHEST * self.most)
+        self.light = None if usual.calm is None else Standby(bank, model.LQ, usual.calm, SHARE * FARTHEST * self.most)
         self.asleep, self.calm = False, 0  # hops in a row in which there is nothing to look at
         self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
@@ -314,7 +314,7 @@ class Watch:
         clear = self.held is None and self.bank is self._all and bool(np.all(np.diff(self.order) > 0))
         clear &= not (strange or self.early or self.settling or self.strange or self.doubted.any())
         self.calm = self.calm + 1 if clear else 0
-        if self.calm >= BEHIND and self.light is not None:
+        if self.calm >= REST and self.light is not None:
             self.light.begin(self.x[0], self.past, self.before)
             self.asleep = True
 
