@@ -23,7 +23,7 @@ from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
-from .bank import lifted_of
+from .bank import HOP, lifted_of
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
@@ -272,9 +272,12 @@ class Running:
         if not all(map(le, map(abs, answer[0].tolist()), self._limits)):  # quickest of so few
             load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
             answer = load[0], std[0]
-        watch.add_one(plain(sample))
-        if watch.filled == 0 and not watch.asleep:
-            self._settled(watch)
+        watch.buffer[watch.filled] = sample if type(sample) is np.ndarray else plain(sample)
+        watch.filled += 1
+        if watch.filled == HOP:
+            watch.full()
+            if not watch.asleep:
+                self._settled(watch)
         return answer
 
     def _either(self, load: Array, std: Array, mixed: Array, spread: Array) -> tuple[Array, Array]:

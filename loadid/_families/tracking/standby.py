@@ -25,6 +25,7 @@ GRID = 16  # hops from one prediction that is kept to the next
 BEHIND = 17  # hops at least over which the hypotheses are followed when they are woken
 REST = WINDOWS[-1]  # hops in a row without anything, after which the hypotheses sleep
 CHUNK = 64  # hops that are looked at together
+ALL = np.ones(HOP)  # samples of a hop
 TOP = 1e6  # innovation over its std, from which there is something, as where it is no number
 RARELY = 4.5  # std of a Gaussian: as rarely is white noise beyond the bounds
 ABOVE = 1.25  # times what the record of the fit gave beyond its mean
@@ -84,7 +85,7 @@ class Standby:
         rows = np.vstack([np.hstack([bank.Cp - G @ H, G]), np.hstack([-W @ H, W]), np.hstack([A, B])])
         self.loop = Loop(rows, p, self.m, bank.x0, np.full(self.m, TOP))
         self.bounds = np.full((len(WINDOWS), self.own + 3), np.inf) if bounds is None else bounds
-        self.most = np.full(p, np.inf) if most is None else most
+        self.reach = None if most is None or np.all(np.isinf(most)) else most
         self.parts = np.zeros((2 * self.m, self.own + 3))
         self.parts[: self.own, -2] = self.parts[self.own : self.m, -1] = self.parts[self.m :, self.own] = 1.0
         self.parts[self.m : self.m + self.own, : self.own] = np.eye(self.own)
@@ -142,8 +143,7 @@ class Standby:
         m, h = self.m, len(z) // HOP
         z = z[: h * HOP].reshape(h, HOP, m)
         self.sums = new = np.concatenate([self.sums, np.empty((h, 2 * m))])
-        np.einsum("ijk->ik", z, out=new[BEFORE:, :m])
-        np.einsum("ijk,ijk->ik", z, z, out=new[BEFORE:, m:])
+        new[BEFORE:, :m], new[BEFORE:, m:] = np.matmul(ALL, z), np.matmul(ALL, z * z)
         over = np.matmul(ENDS, np.ndarray((h, len(ENDS[0]), 2 * m), float, new, 0, (new.strides[0], *new.strides)))
         means = over[:, :, :m]
         np.multiply(means, means, out=means)
@@ -157,9 +157,10 @@ class Standby:
         within, first = self.found <= self.bounds, whole
         if np.count_nonzero(within) < within.size:
             first = int(np.argmin(within.all(axis=(1, 2))))
-        ends = np.abs(load[HOP - 1 : done : HOP]) > self.most
-        if np.count_nonzero(ends):
-            first = min(first, int(np.argmax(ends.any(axis=1))))
+        if self.reach is not None:
+            ends = np.abs(load[HOP - 1 : done : HOP]) <= self.reach
+            if np.count_nonzero(ends) < ends.size:
+                first = min(first, int(np.argmin(ends.all(axis=1))))
         strange = first < total
         self.sums = self.sums[: BEFORE + first + 1][-BEFORE:]
         if first == whole < total:  # no numbers, or none that are finite

@@ -287,27 +287,21 @@ class Watch:
         """Samples (samples, m) of one hop; at its end it is judged."""
         stop = self.filled + len(Y)
         self.buffer[self.filled : stop] = Y
-        self.filled, self.count = stop, self.count + len(Y)
-        self._full()
+        self.filled = stop
+        if stop == HOP:
+            self.full()
 
-    def add_one(self, sample: Any) -> None:
-        """The same of one sample (m,)."""
-        self.buffer[self.filled] = sample
-        self.filled += 1
-        self.count += 1
-        self._full()
-
-    def _full(self) -> None:
-        if self.filled == HOP:
-            self.filled = 0
-            if self.asleep:
-                self.count -= HOP
-                self._doze(self.buffer)
-            else:
-                strange = self.light is None or self.light.look(self.x[0], self.buffer[:, self.order])
-                self._hop()
-                self._rest(strange)
-                self._told()
+    def full(self) -> None:
+        """Judge the hop that is complete."""
+        self.filled = 0
+        if self.asleep:
+            self._doze(self.buffer)
+            return
+        self.count += HOP
+        strange = self.light is None or self.light.look(self.x[0], self.buffer[:, self.order])
+        self._hop()
+        self._rest(strange)
+        self._told()
 
     def _rest(self, strange: bool) -> None:
         """Sleep from the next hop on, where there has been nothing to look at for long enough."""
@@ -646,7 +640,7 @@ class Watch:
         return {
             **{name: getattr(self, name) for name in ARRAYS}, **{name: getattr(self, name) for name in NUMBERS},
             "named": faults, "held": self.held is not None, "there": self.bank.there, "far": self.far,
-            "light": None if self.light is None else self.light.to_tree(),
+            "count": self.count + self.filled, "light": None if self.light is None else self.light.to_tree(),
         }  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -660,6 +654,7 @@ class Watch:
             self._take(bank)
         for name in NUMBERS:
             setattr(self, name, int(tree.get(name, 0)))  # the last two are newer than the first files
+        self.count -= self.filled  # those of whole hops
         if self.light is not None and (light := tree.get("light")) is not None:
             self.light.restore(light)
         self.far = float(tree.get("far", 0.0))
