@@ -201,12 +201,12 @@ def test_a_sleeper_is_woken_alike_by_samples_and_by_blocks(size):
 
 def test_a_sleeper_is_woken_by_what_is_no_number():
     y = service(DRAWN).record.copy()
-    y[700:704, 1] = np.nan
+    y[500:504, 1] = np.nan
     tracker = Tracker(fitted().fitted, fitted().gate)
-    tracker.run(y[:700])
+    tracker.run(y[:500])
     assert asleep_at(tracker)
-    tracker.run(y[700:720])
+    tracker.run(y[500:520])
     assert not asleep_at(tracker)
-    tracker.run(y[720:])
+    tracker.run(y[520:])
     assert asleep_at(tracker)
     assert not tracker.row_alarms.any()
