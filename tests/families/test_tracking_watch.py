@@ -153,3 +153,60 @@ def test_a_load_with_an_alarm_stays_within_reach_of_those_of_the_fit():
     assert tracker.fitted.most is not None
     assert np.all(np.abs(load[late]) <= FARTHEST * tracker.fitted.most)
     assert np.all(std[late] >= tracker.fitted.most)
+
+
+def asleep_at(tracker: Tracker) -> bool:
+    assert tracker._watch is not None
+    return tracker._watch.asleep
+
+
+def test_a_clean_stream_is_only_looked_at():
+    tracker, y = Tracker(fitted().fitted, fitted().gate), service(DRAWN).record
+    tracker.run(y[:400])
+    for k in range(400, 1000, 20):
+        assert asleep_at(tracker)
+        tracker.run(y[k : k + 20])
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f != "spikes"])
+def test_who_sleeps_finds_what_is_found_awake(fault):
+    """The same channel within a hop of when the hypotheses find it that are followed all the time."""
+    y = service(DRAWN, fault).record
+    sleeper, awake = (Tracker(fitted().fitted, fitted().gate) for _ in "ab")
+    assert awake._watch is not None
+    awake._watch.light = None
+    sleeper.run(y[:BEGIN])
+    assert asleep_at(sleeper)
+    sleeper.run(y[BEGIN:])
+    awake.run(y)
+    assert not asleep_at(sleeper)
+    found, expected = sleeper.faults[0], awake.faults[0]
+    assert (found.channel, found.other, found.kind) == (expected.channel, expected.other, expected.kind)
+    assert abs(found.sample - expected.sample) <= 20
+
+
+@pytest.mark.parametrize("size", [1, 7, 20, 333, 1000])
+def test_a_sleeper_is_woken_alike_by_samples_and_by_blocks(size):
+    y = service(DRAWN, "drift").record
+    whole, parts = (Tracker(fitted().fitted, fitted().gate) for _ in "ab")
+    load, std, _ = whole.run(y)
+    found = [parts.step(row) for row in y] if size == 1 else []
+    if size > 1:
+        blocks = [parts.run(y[k : k + size]) for k in range(0, len(y), size)]
+        found = [pair for a, b, _ in blocks for pair in zip(a, b, strict=True)]
+    assert np.array_equal(load, [a for a, _ in found])
+    assert np.array_equal(std, [b for _, b in found])
+    assert parts.faults == whole.faults
+
+
+def test_a_sleeper_is_woken_by_what_is_no_number():
+    y = service(DRAWN).record.copy()
+    y[500:504, 1] = np.nan
+    tracker = Tracker(fitted().fitted, fitted().gate)
+    tracker.run(y[:500])
+    assert asleep_at(tracker)
+    tracker.run(y[500:520])
+    assert not asleep_at(tracker)
+    tracker.run(y[520:])
+    assert asleep_at(tracker)
+    assert not tracker.row_alarms.any()

@@ -24,7 +24,7 @@ from .gate import CALM, DOUBLINGS, OVER, RARE, Plain, missed, onset, plain_of, r
 GATE = 6.0  # std of an innovation beyond which a sample is looked at
 PATIENCE = 20  # samples: of good behaviour at most, until a channel is believed again; of a lost state, that it is held
 DECISIVE = 3.0  # logarithm of the odds between an event and wrong channels
-TOLD = 3.0  # stds that a load after an event must have; before, the filter without a gate is answered where it has less
+TOLD = 3.0  # stds that a load after an event must have, to be answered and not that of a calm filter without a gate
 WORSE = 2  # channels beyond the gate for one sample (of two channels one): so much worse may the gate predict
 OPEN = 2.0  # of them at most, that the first sample may say: later ones decide
 
@@ -106,7 +106,7 @@ class Judge:
         if self.plain is not None and (self.believing if self.rival is not None else self.plain.event):
             off = Cp @ self.plain.state.x - load
             untold = np.maximum(np.abs(off), np.abs(load)) < TOLD * std  # by the event, so far
-            if np.all(untold & (np.abs(load + off) < np.abs(load))):
+            if np.all(untold & ((self.plain.calm > 0) | (np.abs(load + off) < np.abs(load)))):
                 load, std = load + off, np.sqrt(std**2 + off**2)
         if self.rival is None:
             return load, std

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from operator import le
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
-from .bank import lifted_of
+from .bank import HOP, lifted_of
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
@@ -205,6 +206,7 @@ class Running:
         self._watch = self._watching()
         most = np.inf if self.fitted.most is None or self.gate is None else self.fitted.most
         self._limit = FARTHEST * np.broadcast_to(most, self._p)
+        self._limits = self._limit.tolist()
         self.row_alarms = np.zeros((0, 2), int)
         self._made()
 
@@ -237,6 +239,8 @@ class Running:
         for engine in (self._engine, *(engine for _, engine in self._bank)):
             if engine.loop is not None:
                 engine.loop.compile()
+        if self._watch is not None and self._watch.light is not None:
+            self._watch.light.loop.compile()
 
     def step(self, sample: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
@@ -265,12 +269,15 @@ class Running:
             if (mixed := watch.loads(row[None])) is not None:
                 answer = self._either(*answer, mixed[0][0], mixed[1][0])
         self.row_alarms = watch.row
-        if not (np.abs(answer[0]) <= self._limit).all():
+        if not all(map(le, map(abs, answer[0].tolist()), self._limits)):  # quickest of so few
             load, std, self.row_alarms = self._bounded(answer[0][None], answer[1][None], watch.row)
             answer = load[0], std[0]
-        watch.add_one(plain(sample))
-        if watch.filled == 0:
-            self._settled(watch)
+        watch.buffer[watch.filled] = sample if type(sample) is np.ndarray else plain(sample)
+        watch.filled += 1
+        if watch.filled == HOP:
+            watch.full()
+            if not watch.asleep:
+                self._settled(watch)
         return answer
 
     def _either(self, load: Array, std: Array, mixed: Array, spread: Array) -> tuple[Array, Array]:

@@ -14,6 +14,8 @@ takes them the other way round.
 
 Where no single channel is clearly the one, the loads are those of all that may be (`bank.Lifted.mixed`): the band holds
 them all. Samples are judged a hop at a time, so that answers do not depend on how they come in blocks.
+
+All this sleeps while a cheaper look (`standby`) finds nothing, and is woken over the samples since some hops before.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
 from .bank import HOP, Bits, Lifted, lifted_of
+from .standby import CHUNK, REST, SHARE, Standby, bounds
 
 WINDOWS = (1, 2, 4, 8)  # hops
 KEPT = 16  # hops behind the present one at which channels may have been swapped
@@ -66,12 +69,15 @@ class Usual:
         Largest likelihood ratio against each channel.
     loudest : float
         Largest normalised squares of a window, over their mean.
+    calm : array (windows, any), optional
+        `standby.bounds`; without them nothing sleeps.
     """
 
     squares: Array
     own: Array
     most: Array
     loudest: float
+    calm: Array | None = None
 
 
 def _of(known: Usual, bank: Lifted, other: Lifted) -> Usual:
@@ -92,16 +98,19 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
     if bank is None or hops - skipped < FEWEST:
         return None
     start = Watch(model, bank, Usual(np.ones(len(bank.out)), np.ones(len(bank.out)), np.zeros(model.m), 1.0))
-    sums, first = [], skipped
+    sums, seen, light, first = [], [], Standby(bank, model.LQ), skipped
     for k in range(hops):
         hop = Y[k * HOP : (k + 1) * HOP]
         if start.patchy(hop):
             start.anew()
             first = k + 1 + skipped
             continue
+        light.look(start.x[0], hop)
         start.judge(hop)
         if k >= first:
             sums.append((start.squares[-1].copy(), start.counts[-1].copy(), start.apart[-1].copy()))
+            if len(light.found) and light.found.max() < TOP:
+                seen.append(light.found[0])
     if len(sums) < FEWEST:
         return None
     squares, counts, apart = (np.array(part) for part in zip(*sums, strict=True))
@@ -114,7 +123,8 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
         again.keep(s, c, a)
         ratios, loud, _ = again.ratios()
         most, loudest = np.maximum(most, ratios.max(axis=0)), max(loudest, loud)
-    return Usual(level, own, most, loudest)
+    least = SURE + MORE * float(most.min())
+    return Usual(level, own, most, loudest, bounds(np.array(seen), model.m - light.own, least) if seen else None)
 
 
 @dataclass(frozen=True)
@@ -171,6 +181,8 @@ class Watch:
         self.order = np.arange(m)
         self._hops = np.array(WINDOWS)
         self._take(bank)
+        self.light = None if usual.calm is None else Standby(bank, model.LQ, usual.calm, SHARE * FARTHEST * self.most)
+        self.asleep, self.calm = False, 0  # hops in a row in which there is nothing to look at
         self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
         self.good, self.strange, self.next_swap, self.early = 0, 0, 2, SETTLING
@@ -242,10 +254,14 @@ class Watch:
             return taken, alarms, mixed
         rows, k, changed = [], 0, False
         while k < len(Y) and not changed:
-            part = slice(k, min(k + HOP - self.filled, len(Y)))
-            rows.append(np.repeat(self.row, part.stop - k, axis=0))
-            self.add(Y[part])
-            k = part.stop
+            whole = 0 if self.filled or not self.asleep else min((len(Y) - k) // HOP, CHUNK)
+            row, stop = self.row, min(k + HOP - self.filled, len(Y))
+            if whole:
+                stop = k + HOP * self._doze(Y[k : k + whole * HOP])
+            else:
+                self.add(Y[k:stop])
+            rows.append(np.repeat(row, stop - k, axis=0))
+            k = stop
             changed = self.filled == 0 and (
                 self.settling or self.held is not None or self.reseed is not None or bool(self.doubted.any())
             )
@@ -271,21 +287,47 @@ class Watch:
         """Samples (samples, m) of one hop; at its end it is judged."""
         stop = self.filled + len(Y)
         self.buffer[self.filled : stop] = Y
-        self.filled, self.count = stop, self.count + len(Y)
-        self._full()
+        self.filled = stop
+        if stop == HOP:
+            self.full()
 
-    def add_one(self, sample: Any) -> None:
-        """The same of one sample (m,)."""
-        self.buffer[self.filled] = sample
-        self.filled += 1
-        self.count += 1
-        self._full()
+    def full(self) -> None:
+        """Judge the hop that is complete."""
+        self.filled = 0
+        if self.asleep:
+            self._doze(self.buffer)
+            return
+        self.count += HOP
+        strange = self.light is None or self.light.look(self.x[0], self.buffer[:, self.order])
+        self._hop()
+        self._rest(strange)
+        self._told()
 
-    def _full(self) -> None:
-        if self.filled == HOP:
-            self.filled = 0
+    def _rest(self, strange: bool) -> None:
+        """Sleep from the next hop on, where there has been nothing to look at for long enough."""
+        clear = self.held is None and self.bank is self._all and bool(np.all(np.diff(self.order) > 0))
+        clear &= not (strange or self.early or self.settling or self.strange or self.doubted.any())
+        self.calm = self.calm + 1 if clear else 0
+        if self.calm >= REST and self.light is not None:
+            self.light.begin(self.x[0], self.past, self.before)
+            self.asleep = True
+
+    def _doze(self, Y: Array) -> int:
+        """Hops (hops HOP, m) that are only looked at, up to one in which there is something, which is judged."""
+        assert self.light is not None
+        taken, strange = self.light.take(Y)
+        self.count += taken * HOP
+        if strange:
+            self.asleep, self.calm = False, 0
+            start, hops = self.light.back()
+            self.x = np.tile(start, (len(self.x), 1))
+            self._forget()
+            for hop in hops[:-1]:
+                self.judge(hop)
+            self.buffer[:] = hops[-1]
             self._hop()
             self._told()
+        return taken
 
     def _hop(self) -> None:
         """Judge a hop, but for those in which a channel is missing, and for some after them."""
@@ -598,6 +640,7 @@ class Watch:
         return {
             **{name: getattr(self, name) for name in ARRAYS}, **{name: getattr(self, name) for name in NUMBERS},
             "named": faults, "held": self.held is not None, "there": self.bank.there, "far": self.far,
+            "count": self.count + self.filled, "light": None if self.light is None else self.light.to_tree(),
         }  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -610,7 +653,10 @@ class Watch:
         if (bank := lifted_of(self.model, there)) is not None and not np.array_equal(there, self.bank.there):
             self._take(bank)
         for name in NUMBERS:
-            setattr(self, name, int(tree[name]))
+            setattr(self, name, int(tree.get(name, 0)))  # the last two are newer than the first files
+        self.count -= self.filled  # those of whole hops
+        if self.light is not None and (light := tree.get("light")) is not None:
+            self.light.restore(light)
         self.far = float(tree.get("far", 0.0))
         self.named = [ChannelFault(int(c), int(o), str(k), int(s)) for c, o, k, s in tree["named"]]
         self.held = self.named[-1] if tree["held"] else None
@@ -625,4 +671,4 @@ ARRAYS = (
     "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either", "weights",
     "reached",
 )  # fmt: skip
-NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked")
+NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked", "calm", "asleep")

@@ -133,7 +133,7 @@ class Loop:
             raise _width(Y, self.m)
         if self._single:
             self._done += len(Y) * (self.n + self.m) * len(self._out) * (len(Y) >= LONG)
-            if self._done > COLD:
+            if self._fast is None and (self._done > COLD or _block.built):
                 self.compile()
             if self._fast is not None:
                 return int(self._fast[1](self._all, self.n, self.m, self.p, Y, load, e))
