@@ -184,8 +184,8 @@ class Noise(Setting):
     errors : mapping of str to float, optional
         Relative std of what the model is wrong by: ``"gain"`` of each sensor and, as large, of all together,
         ``"frequency"`` and ``"damping"`` of each mode, ``"shape"`` of the lowest at each sensor (of others more, with
-        their wave number); default .02, .01, .2 and .05; 0 leaves one out. `Deconvolution` with a variance of the load
-        that changes with time.
+        their wave number); default .02, .01, .2 and .05; 0 leaves one out. `Deconvolution`, in the band of the default
+        and of ``Penalty(variance="local")``.
 
     Raises
     ------
