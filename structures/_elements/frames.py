@@ -8,26 +8,334 @@ them, member by member, and then those that hold the own rotation of a hinged en
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from .._channels import Dof, direction_code
 from .._system.damping import Damping, settled
+from .._system.fields import Line, Span, assembled, field_of_kind
+from .._system.loads import Load
+from .._system.sensors import fixed_quantity
 from .._system.structure import Structure
-from ..errors import InputError, integer, plain, positive, real, shown
-from .framefield import At, FrameField
-from .framemesh import DofTable, LineLoad, Member, assemble, meshed
-from .members import Material, Section
+from ..errors import InputError, integer, number, one_of, plain, positive, real, shown, whole
+from ..errors import span as span_of
+from .framefield import At, FrameField, Piece
+from .members import Element, Material, Section
 
 __all__ = ["SUPPORTS", "At", "FrameField", "LineLoad", "Material", "Member", "Section", "frame", "portal"]
 
 SUPPORTS = ("clamped", "pinned")
 ELEMENTS = 10_000  # per member
+HINGES = ("", "start", "end", "both")
+PARALLEL = 1e-6  # sine of the angle to the reference below which a member has no second axis
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A straight member between two joints; what is not given is taken from `frame`.
+
+    Parameters
+    ----------
+    start, end : int
+        Joints. The local x axis runs from one to the other.
+    section, material : Section and Material, optional
+        Its properties.
+    elements : int, optional
+        Equal elements along it.
+    reference : (x, y, z), optional
+        In space: direction towards which the local z axis (the height of the section) leans; +Z, and +X for a
+        vertical member, where not given. In a plane z is x turned by 90 degrees, from +X to +Z.
+    hinge : {"", "start", "end", "both"}
+        Ends that carry no moment: a pin in a plane, a ball joint in space.
+    tension : float
+        Axial force (N, positive in tension) whose stiffness against deflection is added.
+
+    Raises
+    ------
+    InputError
+        If hinge or tension is not possible; the rest is checked with the frame.
+    """
+
+    start: int
+    end: int
+    _: KW_ONLY
+    section: Section | None = None
+    material: Material | None = None
+    elements: int | None = None
+    reference: Sequence[float] | None = None
+    hinge: str = ""
+    tension: float = 0.0
+
+    def __post_init__(self) -> None:
+        number("tension", self.tension, where="frame member", unit="N")
+        where, ways = f"frame, member {self.start}-{self.end}", '"", "start", "end" or "both"'
+        one_of(
+            "unknown hinge", self.hinge, HINGES, where=where, expected=ways,
+            hint='hinge="end" lets the end turn freely on its joint',
+        )  # fmt: skip
+
+    @property
+    def hinges(self) -> tuple[bool, bool]:
+        """Whether the start and the end are hinged."""
+        return self.hinge in ("start", "both"), self.hinge in ("end", "both")
+
+
+class DofTable:
+    """Nodes, their places and the DOF table: joints, then the insides of the members, then the hinged ends."""
+
+    def __init__(self, joints: dict[int, Array], members: Sequence[Member], plane: bool) -> None:
+        self.axes = (1, 3, 5) if plane else (1, 2, 3, 4, 5, 6)
+        lift = [0, 2] if plane else [0, 1, 2]
+        self.places = {n: np.zeros(3) for n in sorted(joints)}
+        for n, place in self.places.items():
+            place[lift] = joints[n]
+        ends = [zip((m.start, m.end), m.hinges, strict=True) for m in members]
+        turning = {joint for pairs in ends for joint, hinged in pairs if not hinged}
+        self.dofs = [Dof(n, a) for n in self.places for a in self.axes if a <= 3 or n in turning]
+        fresh = itertools.count(max(joints) + 1)
+        self.nodes: list[NDArray[np.intp]] = []
+        for m in members:
+            start, end = self.places[m.start], self.places[m.end]
+            inner = [next(fresh) for _ in range((m.elements or 1) - 1)]
+            for step, n in enumerate(inner, 1):
+                self.places[n] = start + (end - start) * (step / (len(inner) + 1))
+                self.dofs += [Dof(n, a) for a in self.axes]
+            self.nodes.append(np.array([m.start, *inner, m.end], np.intp))
+        self.turns: dict[tuple[int, int], int] = {}  # (member, end) to the node that holds a hinged end's rotation
+        for k, m in enumerate(members):
+            for side, (joint, hinged) in enumerate(zip((m.start, m.end), m.hinges, strict=True)):
+                if hinged:
+                    node = self.turns[k, side] = next(fresh)
+                    self.places[node] = self.places[joint]
+                    self.dofs += [Dof(node, a) for a in self.axes if a > 3]
+        self.index = {dof.key: i for i, dof in enumerate(self.dofs)}
+
+    def rows(self, k: int) -> NDArray[np.intp]:
+        """DOFs of each element of member k."""
+        nodes, last = self.nodes[k], len(self.nodes[k]) - 1
+        turns = nodes.copy()
+        turns[0], turns[last] = self.turns.get((k, 0), nodes[0]), self.turns.get((k, 1), nodes[last])
+        ends = [
+            [self.index[int(n) if a <= 3 else int(t), a] for a in self.axes] for n, t in zip(nodes, turns, strict=True)
+        ]
+        return np.array([a + b for a, b in itertools.pairwise(ends)], np.intp)
+
+
+def meshed(k: int, m: Member, lay: DofTable, plane: bool, shear: bool) -> Piece:
+    """A member as it is meshed, its section checked against what the theory needs."""
+    assert m.section is not None
+    assert m.material is not None
+    assert m.elements is not None
+    where = f"frame, member {m.start}-{m.end}"
+    along = lay.places[m.end] - lay.places[m.start]
+    length = float(np.linalg.norm(along))
+    needed = ([] if plane else ["I_z", "J"]) + (["shear"] if shear else [])
+    if missing := [name for name in needed if getattr(m.section, name) is None]:
+        raise InputError(
+            f"the section lacks {', '.join(missing)}",
+            where=where,
+            found=repr(m.section),
+            expected=", ".join(needed),
+            hint="Section.rectangle, circle and tube know them; Section(A, I, c, I_z=, J=, shear=) takes them",
+        )
+    if not shear and 4 * m.section.c > length:
+        raise InputError(
+            "the section is too deep for a member of this length: it would shear, not bend",
+            where=where,
+            found=f"depth {2 * m.section.c:g} m, length {length:g} m",
+            expected="a depth of at most half the length",
+            hint="shear=True takes Timoshenko theory; check the units of the section (m)",
+        )
+    if not plane and m.hinge == "both":
+        raise InputError(
+            "a member with two ball joints would spin about its own axis",
+            where=where,
+            found='hinge="both" in space',
+            expected="one hinged end in space",
+            hint='hinge="end"; a slender member passes on next to no moment anyway',
+        )
+    line = Line(length, m.elements, name="s")
+    return Piece(
+        line, Element(line.h, m.section, m.material, shear), _axes(m, along / length, plane), lay.nodes[k], lay.rows(k)
+    )
+
+
+def _axes(m: Member, x: Array, plane: bool) -> Array:
+    """Rows are the local axes: x along the member, z towards the reference, y = z x x."""
+    where = f"frame, member {m.start}-{m.end}, reference"
+    if plane:
+        if m.reference is not None:
+            raise InputError(
+                "a plane frame takes no reference",
+                where=where,
+                found=shown(m.reference),
+                expected="none",
+                hint="its local y axis is +Y; give three coordinates at every node for a frame in space",
+            )
+        y = np.array([0.0, 1.0, 0.0])
+        return np.array([x, y, np.cross(x, y)])
+    if m.reference is None:
+        candidates = [np.eye(3)[2], np.eye(3)[0]]
+        leaning = next(v for v in candidates if np.linalg.norm(np.cross(v, x)) > PARALLEL)
+    else:
+        values = [real(v) for v in m.reference] if np.iterable(m.reference) else []
+        leaning = np.array([0.0 if v is None else v for v in values])
+        if len(values) != 3 or None in values or not np.any(leaning):
+            raise InputError(
+                "no reference vector",
+                where=where,
+                found=shown(m.reference),
+                expected="three finite numbers, not all zero",
+                hint="reference=(0, 0, 1)",
+            )
+        leaning = leaning / np.linalg.norm(leaning)
+    y = np.cross(leaning, x)
+    sine = np.linalg.norm(y)
+    if sine < PARALLEL:
+        raise InputError(
+            "the reference is parallel to its member",
+            where=where,
+            found=f"{shown(m.reference)}, sine of the angle {sine:.1g}",
+            expected=f"a vector across the member, sine above {PARALLEL:g}",
+            hint="point it where the height of the section points",
+        )
+    y = y / sine
+    return np.array([x, y, np.cross(x, y)])
+
+
+def assemble(pieces: Sequence[Piece], local: Sequence[Array], size: int) -> sparse.csr_array:
+    """Matrix of all DOFs from one element matrix in local axes per member."""
+    blocks = [piece.matrix(A) for piece, A in zip(pieces, local, strict=True)]
+    # the rotation leaves rounding, which is mirrored
+    each = [np.broadcast_to((A + A.T) / 2, (len(p.dofs), *A.shape)) for A, p in zip(blocks, pieces, strict=True)]
+    return assembled(np.concatenate(each), np.concatenate([piece.dofs for piece in pieces]), size)
+
+
+@dataclass(frozen=True)
+class LineLoad(Load):
+    """Uniform load (N per m of the member) on a member of a frame, or on a part of it, in any direction.
+
+    Parameters
+    ----------
+    member : int
+        Which member, in the order in which they were given.
+    span : (s0, s1), optional
+        Part of the member (m from its start); all of it where not given. Elements may be shared partly.
+    direction : str or (x, z) or (x, y, z)
+        A global translation such as ``"-Z"``, or a direction of any length in the frame's coordinates. A load per
+        horizontal metre (snow) on a member at the slope a is this load times cos a.
+    label : str, optional
+        Member and span where not given.
+
+    Attributes
+    ----------
+    measure : float or None
+        Length (m) where the span is given: load times length is the resultant.
+
+    Raises
+    ------
+    InputError
+        If span or direction is none; in `shape`, if the structure is no frame or has no such member.
+
+    Notes
+    -----
+    Work-equivalent nodal forces: q L (1/2, L/12, 1/2, -L/12) across an element, for Timoshenko elements too.
+    """
+
+    member: int = 0
+    span: Span | None = None
+    _: KW_ONLY
+    direction: Any = "-Z"
+    label: str = ""
+    quantity: str = "line_load"
+    unit: str = "N/m"
+
+    def __post_init__(self) -> None:
+        fixed_quantity(self, "line_load")
+        if (index := whole(self.member)) is None or index < 0:
+            raise InputError(
+                "no member",
+                where="LineLoad",
+                found=shown(self.member),
+                expected="an integer, at least 0",
+                hint="members are counted from 0",
+            )
+        if self.span is not None:
+            hint = "span=(0.2, 0.4), or leave it out for the whole member"
+            start, stop = span_of(self.span, where="LineLoad, span", hint=hint)
+            object.__setattr__(self, "span", (start, stop))
+            object.__setattr__(self, "measure", stop - start)
+        object.__setattr__(self, "direction", _direction(self.direction))
+        object.__setattr__(self, "label", self.label or self._words())
+        super().__post_init__()
+
+    def _words(self) -> str:
+        part = "" if self.span is None else f" s={self.span[0]:.9g}..{self.span[1]:.9g}"
+        way = self.direction
+        if not isinstance(way, str):
+            way = f"({', '.join(f'{v:.4g}' for v in way)})"
+        return f"member={self.member}{part} {way}"
+
+    def _field(self, structure: Structure) -> FrameField:
+        return field_of_kind(
+            structure,
+            FrameField,
+            self.label,
+            what="a LineLoad acts on a member of a frame",
+            expected="a structure of frames.frame",
+            hint="loads.Patch(x=(x0, x1)) on a beam",
+        )
+
+    def region(self, structure: Structure) -> tuple[Span, ...]:
+        """Member and span."""
+        line = self._field(structure).piece(self.member).line
+        return (self.member, self.member), self.span or (0.0, line.length)
+
+    def shape(self, structure: Structure) -> Array:
+        """Consistent nodal forces of one unit, shape (n,)."""
+        field = self._field(structure)
+        vector = np.zeros(3)
+        if isinstance(self.direction, str):
+            code = direction_code(self.direction)
+            vector[abs(code) - 1] = np.sign(code)
+        else:
+            vector[[0, 2] if len(self.direction) == 2 else [0, 1, 2]] = self.direction
+        if field.plane and vector[1]:
+            raise InputError(
+                "a plane frame has no motion along Y",
+                where=f"load {self.label}",
+                found=self.direction,
+                expected="a direction in X-Z",
+                hint="direction=(x, z)",
+            )
+        return field.line(self.member, self.span, vector)
+
+
+def _direction(given: Any) -> str | tuple[float, ...]:
+    """A translation's label, or a unit vector."""
+    if isinstance(given, str):
+        code = direction_code(given)
+        if 1 <= abs(code) <= 3:
+            return given if given[0] in "+-" else f"+{given}"
+    else:
+        values = [real(v) for v in given] if np.iterable(given) else []
+        found = np.array([v for v in values if v is not None])
+        if len(found) == len(values) and len(found) in (2, 3) and np.any(found):
+            return tuple((found / np.linalg.norm(found)).tolist())
+    raise InputError(
+        "no direction of a line load",
+        where="LineLoad",
+        found=shown(given),
+        expected='"+X", "+Y", "+Z" or a vector (x, z) or (x, y, z)',
+        hint='direction="-Z" is downwards',
+    )
 
 
 def frame(

@@ -16,8 +16,8 @@ from .._certificate import Certificate
 from .._channels import Channel
 from .._flags import Flag
 from .._testing import kinds
+from .._testing.frfs import full
 from .._testing.impact import Hit, TrainingRecords, from_hits
-from .._testing.runs import full
 from .._testing.spectra import checked_decay, exponential, resample_lines, taken_out
 from ..errors import InputError, as_array, lines, plain
 from .lines import between, checked

@@ -16,7 +16,7 @@ from .._channels import Channel
 from .._flags import Flag
 from .._model import Model
 from .._testing import kinds, reciprocity
-from .._testing.runs import of_spectra, tabulated
+from .._testing.frfs import of_spectra, tabulated
 from ..errors import InputError, as_array, digest, lines, plain
 from ..files import _storage as storage
 from .lines import BETWEEN, ascending, checked, cube, index_of, interpolated, interpolation_flag, nearest, one_name_each

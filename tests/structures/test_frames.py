@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from structures import ForwardModel, NotIdentifiable, beams, frames, loads, sensors
 from structures._elements.framefield import At
-from structures._elements.framemesh import LineLoad, Member
+from structures._elements.frames import LineLoad, Member
 from structures._elements.members import Element, Section
 from structures._system.factor import Factor
 from structures.errors import InputError

@@ -15,7 +15,8 @@ takes them the other way round.
 Where no single channel is clearly the one, the loads are those of all that may be (`bank.Lifted.mixed`): the band holds
 them all. Samples are judged a hop at a time, so that answers do not depend on how they come in blocks.
 
-All this sleeps while a cheaper look (`standby`) finds nothing, and is woken over the samples since some hops before.
+All this sleeps while a cheaper look (`bank.Standby`) finds nothing, and is woken over the samples since some hops
+before.
 """
 
 from __future__ import annotations
@@ -30,10 +31,8 @@ from numpy.typing import NDArray
 from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
-from .bank import HOP, Bits, Lifted, lifted_of
-from .standby import CHUNK, REST, SHARE, Standby, bounds
+from .bank import CHUNK, HOP, REST, SHARE, WINDOWS, Bits, Lifted, Standby, bounds, lifted_of
 
-WINDOWS = (1, 2, 4, 8)  # hops
 KEPT = 16  # hops behind the present one at which channels may have been swapped
 SURE = 80.0  # -2 log of the likelihood ratio, at least
 MORE = 3.0  # times the largest of the fit
@@ -70,7 +69,7 @@ class Usual:
     loudest : float
         Largest normalised squares of a window, over their mean.
     calm : array (windows, any), optional
-        `standby.bounds`; without them nothing sleeps.
+        `bank.bounds`; without them nothing sleeps.
     """
 
     squares: Array
