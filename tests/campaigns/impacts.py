@@ -4,7 +4,8 @@ Beams of 0.6 to 2 m and plates, 1 to 4 sensors (acceleration, strain, displaceme
 6 to 20 samples, noise of 0.5 to 10 % of each channel, 120 to 1600 samples. The truth has a finer mesh, twice the modes
 and a step ten times finer, and is sampled behind an anti-alias filter without phase. `error` adds what the model does
 not know or the record should not have: gains, correlated noise, frequencies, damping, places of sensors, a channel
-that is late, one that clips, an offset, a load beyond the end of the record; or gives a load that is no impact.
+that is late, one that clips, an offset, a load beyond the end of the record; cuts the record to its first quarter; or
+gives a load that is no impact.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from .scores import Array, Scored, deviations
 FINER = 10
 ERRORS = (
     "none", "same model", "gain", "correlated", "frequency", "damping", "place", "late", "clipped", "offset",
-    "overlong", "slow", "harmonic", "random", "swept",
+    "overlong", "slow", "harmonic", "random", "swept", "cut",
 )  # fmt: skip
 KINDS = ("acceleration", "strain", "displacement", "mixed")
 
@@ -110,7 +111,9 @@ def _history(rng: np.random.Generator, samples: int, error: str) -> Array:
     load = np.zeros(len(t))
     for _ in range(int(rng.integers(1, 4))):
         width = rng.uniform(6, 20)
-        start = rng.uniform(0.08, 0.6) * n if error != "overlong" else rng.uniform(n - 0.6 * width, n - 0.3 * width)
+        start = rng.uniform(0.08, 0.6) * n * (0.4 if error == "cut" else 1.0)
+        if error == "overlong":
+            start = rng.uniform(n - 0.6 * width, n - 0.3 * width)
         inside = (t >= start) & (t < start + width)
         load[inside] += rng.uniform(0.5, 1) * np.sin(np.pi * (t[inside] - start) / width)
     return load
@@ -151,6 +154,8 @@ def problem(seed: int, error: str = "none", size: float = 0.03) -> Problem:
         clean[:, 0] = np.roll(clean[:, 0], int(rng.integers(1, 4)))
     sigma = 10 ** rng.uniform(np.log10(0.005), -1) * np.sqrt(np.mean(clean**2, axis=0))
     record = _measured(rng, clean, sigma, error)
+    if error == "cut":
+        record, load = record[: samples // 4], load[: samples // 4]
     stated = bool(rng.random() < 0.5)
     groups = ("beam" if beam else "plate", kind, f"sigma {'stated' if stated else 'not known'}", f"{count} loads",
               "overdetermined" if len(kinds) > count else "as many sensors as loads", f"error {error}")  # fmt: skip
