@@ -29,6 +29,7 @@ IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
 FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
+EITHER = 0.5  # odds of a prior that the evidence prefers and the shape of the load does not
 LONGEST_LINES = 2**18  # samples line by line
 
 
@@ -193,6 +194,15 @@ def widened(found: SolvedLoad, posed: Posed | None, choice: Choice) -> SolvedLoa
     return replace(found, std=band.std, posterior=band, facts=Facts.of(facts), excess=excess)
 
 
+def _between(found: SolvedLoad, prior: LocalPrior | LocalLinesPrior) -> SolvedLoad:
+    """The answer of a constant variance, whose band knows that the prior may be the other one: as likely as not."""
+    if found.posterior is None:
+        return found
+    other = np.sqrt(EITHER) * (prior.posterior()[0] - found.load)
+    band = WidenedPosterior(found.posterior, other[None])
+    return replace(found, std=band.std, posterior=band)
+
+
 def words(learned: Learned | str) -> str:
     """The prior in words; "" where it is that of the penalty."""
     if isinstance(learned, str) or not learned.asked_for:
@@ -216,7 +226,7 @@ def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: floa
         "local_asked_for": prior.asked_for,
     }
     if not learned.asked_for:
-        return replace(found, facts=Facts.of(facts))
+        return _between(replace(found, facts=Facts.of(facts)), prior)
     load, band, start = prior.posterior(prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
