@@ -156,7 +156,7 @@ class Deconvolution:
         local = local_variance.learned(posed, self.settings, found.load, lambda: self._over_states(posed, data))
         found = local_variance.replaced(found, local, choice, data.dt)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
-        if prior and not isinstance(local, str):
+        if prior and isinstance(local, local_variance.Learned):
             choice, posed = local_variance.unasked(choice, local), local.posed
         elif self.settings.automatic and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)

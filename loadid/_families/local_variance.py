@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._inverse.choice import Choice, ungraded
 from .._inverse.convolved.local_lines import LocalLinesPrior, Spectrum, local_lines
-from .._inverse.local_prior import UNLIKELY, LocalPrior, local_prior, with_errors, with_misfit
+from .._inverse.local_prior import (
+    UNLIKELY,
+    LocalPrior,
+    StationaryPrior,
+    local_prior,
+    stationary_prior,
+    with_errors,
+    with_misfit,
+)
 from .._inverse.nuisances import Marginal, linearised
 from .._inverse.posterior import WidenedPosterior
 from .._results.facts import Facts
@@ -26,10 +34,11 @@ RESIDUAL = "residual"  # noise that tests left, which another record may have le
 CONSTANT = "asked for by name"
 WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
+THROUGHOUT = "the load acts throughout"
 WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
 FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
-EITHER = 0.5  # odds of a prior that the evidence prefers and the shape of the load does not
+EITHER = 0.5  # odds of another prior than that of the penalty
 LONGEST_LINES = 2**18  # samples line by line
 
 
@@ -54,8 +63,11 @@ class Learned:
     names: tuple[str, ...] = ()
 
 
-def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None]) -> Learned | str:
-    """Both priors of a problem, or why none was learned.
+Priors: TypeAlias = Learned | StationaryPrior | str  # both; a constant variance alone; or why none was learned
+
+
+def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None]) -> Priors:
+    """Both priors of a problem, that of constant variance alone where the load acts throughout, or why none.
 
     Parameters
     ----------
@@ -73,7 +85,10 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         prior = local_prior(posed.record, stated=posed.noise.known)
         return _with_errors(prior, posed)
     if why := _not_asked(settings, load, LONGEST if posed.spectrum is None else LONGEST_LINES):
-        return why
+        over = states() if why == THROUGHOUT and len(load) <= LONGEST else None
+        if over is None or over.record is None:
+            return why
+        return stationary_prior(over.record, stated=over.noise.known)
     if posed.spectrum is not None:
         return _over_lines(posed, posed.spectrum, load)
     over = states()
@@ -113,7 +128,7 @@ def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     if len(load) > longest:
         return f"beyond {longest} samples learning it costs more than the estimate; variance='local' learns it"
     if spread(load) > IMPACTS:
-        return "the load acts throughout"
+        return THROUGHOUT
     return ""
 
 
@@ -194,28 +209,34 @@ def widened(found: SolvedLoad, posed: Posed | None, choice: Choice) -> SolvedLoa
     return replace(found, std=band.std, posterior=band, facts=Facts.of(facts), excess=excess)
 
 
-def _between(found: SolvedLoad, prior: LocalPrior | LocalLinesPrior) -> SolvedLoad:
-    """The answer of a constant variance, whose band knows that the prior may be the other one: as likely as not."""
+def _constant(found: SolvedLoad, because: str) -> SolvedLoad:
+    """The answer, with why its variance is constant."""
+    return replace(found, facts=Facts.of({**found.facts, "variance": "constant", "variance_because": because}))
+
+
+def _between(found: SolvedLoad, others: Sequence[StationaryPrior | LocalLinesPrior]) -> SolvedLoad:
+    """The answer of the penalty, whose band knows that the prior may be another one: each as likely as not."""
     if found.posterior is None:
         return found
-    other = np.sqrt(EITHER) * (prior.posterior()[0] - found.load)
-    band = WidenedPosterior(found.posterior, other[None])
+    away = np.array([one.posterior()[0] - found.load for one in others])
+    band = WidenedPosterior(found.posterior, np.sqrt(EITHER) * away)
     return replace(found, std=band.std, posterior=band)
 
 
-def words(learned: Learned | str) -> str:
+def words(learned: Priors) -> str:
     """The prior in words; "" where it is that of the penalty."""
-    if isinstance(learned, str) or not learned.asked_for:
+    if not isinstance(learned, Learned) or not learned.asked_for:
         return ""
     memory = "white" if not learned.prior.memory else f"smooth over {learned.prior.memory:g} samples"
     return f"a load of zero mean whose variance changes with time, {memory}"
 
 
-def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: float) -> SolvedLoad:
+def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> SolvedLoad:
     """The answer with the load of the local prior, where that is used; the facts say which stands, and why."""
+    if isinstance(learned, StationaryPrior):
+        return _between(_constant(found, THROUGHOUT), [learned])
     if isinstance(learned, str):
-        stands = {} if learned == CONSTANT else {"variance": "constant", "variance_because": learned}
-        return replace(found, facts=Facts.of({**found.facts, **stands}))
+        return found if learned == CONSTANT else _constant(found, learned)
     prior, posed = learned.prior, learned.posed
     facts = {
         **found.facts,
@@ -226,7 +247,8 @@ def replaced(found: SolvedLoad, learned: Learned | str, choice: Choice, dt: floa
         "local_asked_for": prior.asked_for,
     }
     if not learned.asked_for:
-        return _between(replace(found, facts=Facts.of(facts)), prior)
+        stationary = [prior.stationary] if isinstance(prior.stationary, StationaryPrior) else []
+        return _between(replace(found, facts=Facts.of(facts)), [prior, *stationary])
     load, band, start = prior.posterior(prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)

@@ -232,8 +232,7 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     def move(old: Fit, before: float, memory: float) -> Fit:
         return _moved(old, record, before, memory)
 
-    still = searched(_constant(record, stated), FIRST, SETTLED, 1.0, move)
-    top = max(still, key=lambda i: still[i].evidence)
+    still, top = _stationary(record, stated)
     seed = _moved(still[top], record, MEMORIES[top], MEMORIES[top])
     seed.b[:], seed.floor = 0.45 * seed.floor, 0.1 * seed.floor
     seed.climb(TRIED)
@@ -244,15 +243,18 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     last = chosen.climb(MOST)
     chosen.weigh(last)
     given = chosen.variances()
-    constant = StationaryPrior(
-        evidence=still[top].evidence, memory=MEMORIES[top], record=still[top].record, given=still[top].variances(),
-        noise=still[top].r,
-    )  # fmt: skip
     return LocalPrior(
         evidence=chosen.evidence, memory=MEMORIES[best], record=chosen.record, given=given, noise=chosen.r,
-        stationary=constant, compared=given.load, correlation=chosen.correlation(last), misfit=0.0,
-        bumps=chosen.b.size, updates=sum(one.updates for one in (*still.values(), *local.values())), fit=chosen,
+        stationary=_as_prior(still[top], MEMORIES[top]), compared=given.load, correlation=chosen.correlation(last),
+        misfit=0.0, bumps=chosen.b.size, fit=chosen,
+        updates=sum(one.updates for one in (*still.values(), *local.values())),
     )  # fmt: skip
+
+
+def stationary_prior(record: WhitenedRecord, *, stated: bool = False) -> StationaryPrior:
+    """The best load of constant variance alone, learned as by `local_prior`."""
+    still, top = _stationary(record, stated)
+    return _as_prior(still[top], MEMORIES[top])
 
 
 def with_misfit(prior: LocalPrior) -> LocalPrior:
@@ -493,6 +495,19 @@ def _constant(record: WhitenedRecord, stated: bool) -> Fit:
     best.climb(SETTLED, 1.0)
     best.updates = sum(one.updates for one in fits)
     return best
+
+
+def _stationary(record: WhitenedRecord, stated: bool) -> tuple[dict[int, Fit], int]:
+    """Constant variances by number of their memory, and the number of the best."""
+    still = searched(
+        _constant(record, stated), FIRST, SETTLED, 1.0, lambda old, before, memory: _moved(old, record, before, memory)
+    )
+    return still, max(still, key=lambda i: still[i].evidence)
+
+
+def _as_prior(fit: Fit, memory: float) -> StationaryPrior:
+    """What was learned of a constant variance."""
+    return StationaryPrior(evidence=fit.evidence, memory=memory, record=fit.record, given=fit.variances(), noise=fit.r)
 
 
 def _moved(old: Fit, record: WhitenedRecord, before: float, memory: float) -> Fit:
