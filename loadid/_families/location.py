@@ -21,7 +21,7 @@ from .._inverse.problem import whiten
 from .._results.estimate import LoadEstimate
 from .._results.facts import provenance
 from .._results.location import LocationFacts, LocationResult, Rival
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..design._candidates import of_model
 from ..settings import Guards, Lambda, Noise, Search
 from . import noise as noises
@@ -132,7 +132,7 @@ class LocationSearch:
         self.noise, self.sensors, self.hold = Noise.of(noise), sensors, hold
         self.settings = dict(settings or {})
         self.grid = grid_of(model, asked.places)
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
         self._kept: tuple[Any, FactoredCandidates] | None = None
 
     def check(self, dt: float, samples: int) -> tuple[Flag, ...]:

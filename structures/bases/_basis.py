@@ -246,7 +246,7 @@ class Basis(Sequence[Load]):
     # -- tractions -------------------------------------------------------------------------------------------------
     @cached_property
     def _factor(self) -> Any:
-        from scipy.sparse.linalg import splu
+        from .._system.factor import SparseLU
 
         if self.mass is None:
             raise InputError(
@@ -256,7 +256,7 @@ class Basis(Sequence[Load]):
                 expected="a basis on a beam, a plate or a face of a solid",
                 hint="divide by a tributary area of your own",
             )
-        return splu(self.mass.tocsc())
+        return SparseLU(self.mass)
 
     def to_traction(self, loads: ArrayLike, *, lumped: bool = False) -> Array:
         """Tractions of nodal forces, by the boundary mass; distributed bases come back as they are.
