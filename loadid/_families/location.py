@@ -198,10 +198,11 @@ class LocationSearch:
         size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
         relative = level / (size if level.ndim == 1 else size**2)
         key = (data.dt, len(data.values), data.rows.tobytes(), relative.round(12).tobytes())
-        if self._kept is None or self._kept[0] != key:
-            self._kept = None  # the old factors must not lie beside the new ones
-            self._kept = key, self._factor(data, relative)
-        kept = self._kept[1]
+        last = self._kept  # read once: another thread may be at another record
+        if last is None or last[0] != key:
+            last = self._kept = None  # the old factors must not lie beside the new ones
+            last = self._kept = key, self._factor(data, relative)
+        kept = last[1]
         y = whiten(data.values, relative, axis=1)
         if not np.any(y):
             raise InputError("the record is zero throughout", where="record", expected="a response",
