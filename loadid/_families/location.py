@@ -135,6 +135,9 @@ class LocationSearch:
         self._progress = Progress(progress)
         self._kept: tuple[Any, FactoredCandidates] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kept": None}  # the factors of a long record are large: they are made again
+
     def check(self, dt: float, samples: int) -> tuple[Flag, ...]:
         """Guards that need the model only: E512 where candidates at different places leave the same data.
 

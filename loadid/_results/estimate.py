@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._certificate import Certificate
 from structures._flags import Flag, canonical, cautions, codes
+from structures._readonly import ReadOnly
 from structures.errors import InputError
 from structures.files import _storage as storage
 
@@ -32,7 +33,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class Axis(ReadOnly):
     """The first axis of a load: its name, unit and values (ascending)."""
 
     name: str

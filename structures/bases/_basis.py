@@ -13,6 +13,7 @@ from scipy import sparse
 
 from .._elements.beams import BeamField
 from .._elements.plates import PlateField
+from .._readonly import ReadOnly
 from .._system.loads import Load, refuse_supported
 from ..errors import InputError, numbers, shown
 
@@ -50,7 +51,7 @@ class BasisLoad(Load):
 
 
 @dataclass(frozen=True, eq=False)
-class Basis(Sequence[Load]):
+class Basis(ReadOnly, Sequence[Load]):
     """A load basis: what `ForwardModel` takes as ``loads=`` and then keeps as ``model.basis``.
 
     Load index = point * len(components) + component. The functions of `structures.bases` build it.

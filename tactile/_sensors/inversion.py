@@ -22,6 +22,7 @@ from loadid._inverse.constrained.activeset import ActivePoint
 from loadid._inverse.constrained.feasible import Feasible, compile_
 from loadid._inverse.constrained.quadratic import Quadratic, gram_of
 from loadid.constraints import Constraint, FrictionCone, NonNegative, Resultant
+from structures._readonly import ReadOnly
 from structures._system.factor import compliance
 from structures.errors import InputError
 
@@ -46,7 +47,7 @@ class Answer:
 
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
+class Inverse(ReadOnly):
     """Regularised inverse at one lambda (relative, times `scale`, by `rule`), in readings whitened by `noise` (m,).
 
     `matrix` G (n, m) gives loads per whitened reading, in single precision where it is large; `influence` A = H G (m,
