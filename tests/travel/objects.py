@@ -354,6 +354,12 @@ def static(**settings: Any) -> Callable[[], StaticInversion]:
     return lambda: StaticInversion(H, noise=Noise(std, **p.SOURCE), **settings)
 
 
+def coned() -> StaticInversion:
+    """Three contacts with friction."""
+    cone = FrictionCone(0.5, np.arange(9).reshape(3, 3))
+    return StaticInversion(p.kernel()[0][:, :9], noise=0.02, choice=0.1, constraints=[cone])
+
+
 def calibrated(**settings: Any) -> StaticInversion:
     """With lambda from several readings."""
     family = static(penalty="gradient", **settings)()
@@ -514,8 +520,7 @@ add("family/SparseDeconvolution, splines", partial(histories, SparseDeconvolutio
 add("family/StaticInversion", static(penalty="gradient"), drawn)
 add("family/StaticInversion, bounds", static(choice=p.LAM, constraints=[Bounds(0.0, 1.05)]),
     partial(estimated, found=p.kernel()[1][0]))  # fmt: skip
-add("family/StaticInversion, cones", lambda: StaticInversion(p.kernel()[0][:, :9], noise=0.02, choice=0.1,
-    constraints=[FrictionCone(0.5, np.arange(9).reshape(3, 3))]), partial(estimated, found=p.kernel()[1][0]))  # fmt: skip
+add("family/StaticInversion, cones", coned, partial(estimated, found=p.kernel()[1][0]))
 add("family/StaticInversion, wing", lambda: StaticInversion(p.wing.__wrapped__()[0], penalty="gradient"),
     partial(estimated, found=p.wing()[1]))  # fmt: skip
 add("family/StaticInversion, calibrated", calibrated, partial(estimated, found=p.kernel()[1][1]))
@@ -561,12 +566,13 @@ add("answer/design", lambda: design.compare({"a": p.kernel()[0]}, noise=np.ones(
 add("answer/placement", lambda: design.place(p.kernel()[0][:, ::6], 8, noise=0.1), lambda f: str(f.table()))
 add("path", path_of_ones_own, swept)
 
-for setting in (Noise(np.array([0.1, 0.2]), **p.SOURCE), Lambda("gcv", path="dense"), Guards(["E501"]),
-                Penalty("first_difference", leak=0.9), ModelErrors({"stiffness": 0.02}), Online(lag=3), Priors(RandomWalk(2.0)),
-                Search(impacts=2), Signal("stationary", segment=100), Sparsity(groups="loads"), NonNegative(),
-                Bounds(0.0, np.ones(3)), Support([1, 2]), Resultant(np.ones((1, 3)), [1.0]),
-                FrictionCone(0.5, p.CONTACTS), OU(1.0, 0.1), Matern32(1.0, 0.1), Matern52(1.0, 0.1), White(1.0), Periodic(20.0, 0.25, 1.0, decay=2.0),
-                Sum([White(1.0), OU(1.0, 0.1)])):  # fmt: skip
+for setting in (
+    Noise(np.array([0.1, 0.2]), **p.SOURCE), Lambda("gcv", path="dense"), Guards(["E501"]), Online(lag=3),
+    Penalty("first_difference", leak=0.9), ModelErrors({"stiffness": 0.02}), Priors(RandomWalk(2.0)), NonNegative(),
+    Search(impacts=2), Signal("stationary", segment=100), Sparsity(groups="loads"), Bounds(0.0, np.ones(3)),
+    Support([1, 2]), Resultant(np.ones((1, 3)), [1.0]), FrictionCone(0.5, p.CONTACTS), OU(1.0, 0.1), White(1.0),
+    Matern32(1.0, 0.1), Matern52(1.0, 0.1), Periodic(20.0, 0.25, 1.0, decay=2.0), Sum([White(1.0), OU(1.0, 0.1)]),
+):  # fmt: skip
     add(f"setting/{type(setting).__name__}", lambda setting=setting: setting)
 add("record", lambda: Record(p.pushed()[0], DT, ["a2", "d5"], name="hit"), lambda r: bits((r.values, r.sha256)))
 add("record/spectra", lambda: lines()[1], lambda s: bits(s.values))
@@ -600,40 +606,51 @@ add("tactile/skin", lambda: skins.skin(h=3e-3, E=0.147e6, nu=0.3223), str)
 
 
 # -- one family, several records --------------------------------------------------------------------------------------
+def spectra(values: np.ndarray) -> Spectra:
+    """Responses over the lines of the model."""
+    return Spectra(lines()[0].model.frequencies, values, noise=lines()[1].noise, noise_source="unloaded record")
+
+
+def mapped_numbers(e: Any) -> Any:
+    """Load, band and codes of a force map; the strain in a message is that of the last frames of its shape."""
+    return bits((e.load, e.std, sorted(e.codes)))
+
+
 @dataclass(frozen=True)
 class Shared:
-    """A family, made anew, and a record: the k-th is larger by some tenths."""
+    """A family, made anew, and a record: the k-th is larger by some tenths; what of an answer is compared."""
 
     make: Callable[[], Any]
-    record: Any
+    record: np.ndarray
     dt: tuple[float, ...] = ()
+    said: Callable[[Any], Any] = said
+    wrap: Callable[[np.ndarray], Any] = np.array
 
     def estimate(self, family: Any, k: int) -> Any:
         """Estimate of the k-th record."""
-        found = family.estimate(self.record * (1 + k / 10), *self.dt)
+        found = family.estimate(self.wrap(self.record * (1 + k / 10)), *self.dt)
         return found.estimate if isinstance(family, LocationSearch) else found
 
 
+HIT, TIMED = p.pushed()[0], (DT,)
 SHARED: dict[str, Shared] = {
-    **{
-        f"Deconvolution, {path}": Shared(partial(histories, choice=Lambda("gcv", path=path)), p.pushed()[0], (DT,))
-        for path in ("dense", "statespace", "fft")
-    },
-    "Deconvolution, toeplitz": Shared(partial(histories, model=p.table(), choice=Lambda(p.LAM, path="toeplitz")),
-                                      p.pushed()[0], (DT,)),
-    "SparseDeconvolution": Shared(partial(histories, SparseDeconvolution), p.pushed()[0], (DT,)),
+    **{f"Deconvolution, {path}": Shared(partial(histories, choice=Lambda("gcv", path=path)), HIT, TIMED)
+       for path in ("dense", "statespace", "fft")},
+    "Deconvolution, toeplitz": Shared(partial(histories, model=p.table(), choice=Lambda(p.LAM, path="toeplitz")), HIT,
+                                      TIMED),
+    "SparseDeconvolution": Shared(partial(histories, SparseDeconvolution, choice=0.1), HIT, TIMED),
     "StaticInversion": Shared(static(penalty="gradient"), p.kernel()[1][0]),
     "StaticInversion, pushes": Shared(static(choice=p.LAM, constraints=[NonNegative()]), p.kernel()[1][0]),
     "FieldDeconvolution": Shared(field, p.span()[1], (1 / 400,)),
     "HarmonicInversion": Shared(lambda: one_line()[0], one_line()[1]),
-    "FrequencyInversion": Shared(lambda: lines()[0], lines()[1].values),
+    "FrequencyInversion": Shared(lambda: lines()[0], lines()[1].values, wrap=spectra),
     "FrequencyInversion, transient": Shared(partial(histories, FrequencyInversion, signal="transient"),
-                                            p.pushed(samples=400)[0], (DT,)),
-    "LocationSearch": Shared(searching, p.candidates()[1], (DT,)),
+                                            p.pushed(samples=400)[0], TIMED),
+    "LocationSearch": Shared(searching, p.candidates()[1], TIMED),
     "LoadTracker": Shared(lambda: LoadTracker(p.housed.__wrapped__(), prior=p.WALK, noise=Noise(p.NOISE)),
-                          p.service()[:200], (DT,)),
-    "MultilayerPad": Shared(padded, p.moved()[1]),
-    "MultilayerPad, frozen": Shared(partial(padded, choice=p.LAM), p.moved()[1]),
-    "GelSlim": Shared(slim, p.moved(1, "standard")[1]),
-    "GelForce": Shared(gel, gel_motion()),
+                          p.service()[:200], TIMED),
+    "MultilayerPad": Shared(padded, p.moved()[1], said=mapped_numbers),
+    "MultilayerPad, frozen": Shared(partial(padded, choice=p.LAM), p.moved()[1], said=mapped_numbers),
+    "GelSlim": Shared(slim, p.moved(1, "standard")[1], said=mapped_numbers),
+    "GelForce": Shared(gel, gel_motion(), said=mapped_numbers),
 }  # fmt: skip
