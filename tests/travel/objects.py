@@ -45,6 +45,7 @@ from loadid import (
     sources,
     validate,
 )
+from loadid._inverse.convolved.path import ConvolvedPath
 from loadid._inverse.problem import LinearProblem
 from loadid._inverse.svd import SVDPath
 from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
@@ -89,6 +90,7 @@ from tactile import (
 from tactile import design as skins
 from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 from tests.golden import problems as p
+from tests.inverse.statespace.cases import case
 from tests.tactile import test_eye as seen
 
 DT = p.DT
@@ -354,10 +356,9 @@ def static(**settings: Any) -> Callable[[], StaticInversion]:
     return lambda: StaticInversion(H, noise=Noise(std, **p.SOURCE), **settings)
 
 
-def coned() -> StaticInversion:
-    """Three contacts with friction."""
-    cone = FrictionCone(0.5, np.arange(9).reshape(3, 3))
-    return StaticInversion(p.kernel()[0][:, :9], noise=0.02, choice=0.1, constraints=[cone])
+def few_contacts(constraint: Any) -> StaticInversion:
+    """Nine loads under a constraint."""
+    return StaticInversion(p.kernel()[0][:, :9], noise=0.02, choice=0.1, constraints=[constraint])
 
 
 def calibrated(**settings: Any) -> StaticInversion:
@@ -442,6 +443,11 @@ def path_of_ones_own() -> SVDPath:
     return SVDPath(LinearProblem.whitened(H / std[:, None], y[0] / std))
 
 
+def errors_of(path: Any) -> Any:
+    """Its solution, its scalars, and the error that it predicts."""
+    return bits((path.solution(0.01, 1.0).load, vars(path.at(0.02)), path.predicted_error([0.01, 0.02], 0.01, 1.0)))
+
+
 def swept(path: SVDPath) -> Any:
     """What the rules say of it."""
     return str(paths.compare(path, 1.0, "repeatability")), bits(path.solution(0.01, 1.0).load)
@@ -509,7 +515,6 @@ for path in ("dense", "statespace", "toeplitz", "windows", "fft"):
     add(f"family/Deconvolution, {path}", *deconvolution(choice=Lambda(p.LAM if bare else "gcv", path=path), **given))
 add("family/Deconvolution, pushes", *deconvolution(choice=p.LAM, constraints=[NonNegative()]))
 add("family/Deconvolution, truncated", *deconvolution(choice=Lambda("gcv", method="tsvd", path="dense")))
-add("family/Deconvolution, told", *deconvolution(progress=lambda fraction, text: None))
 add("family/Deconvolution, moving", lambda: Deconvolution(crossing(), noise=1e-6), crossed)
 add("family/Deconvolution, measured", lambda: Deconvolution(p.hammered.__wrapped__()[0], choice=p.LAM),
     partial(estimated, record=p.hammered()[1], dt=DT))  # fmt: skip
@@ -517,15 +522,19 @@ few = partial(estimated, record=p.pushed()[0], dt=DT)
 add("family/SparseDeconvolution", partial(histories, SparseDeconvolution), few)
 add("family/SparseDeconvolution, splines", partial(histories, SparseDeconvolution, dictionary="bspline", choice=0.1),
     few)  # fmt: skip
+statics = partial(estimated, found=p.kernel()[1][0])
 add("family/StaticInversion", static(penalty="gradient"), drawn)
-add("family/StaticInversion, bounds", static(choice=p.LAM, constraints=[Bounds(0.0, 1.05)]),
-    partial(estimated, found=p.kernel()[1][0]))  # fmt: skip
-add("family/StaticInversion, cones", coned, partial(estimated, found=p.kernel()[1][0]))
+add("family/StaticInversion, bounds", partial(few_contacts, Bounds(-1.0, 1.0)), statics)
+add("family/StaticInversion, cones", partial(few_contacts, FrictionCone(0.5, np.arange(9).reshape(3, 3))), statics)
 add("family/StaticInversion, wing", lambda: StaticInversion(p.wing.__wrapped__()[0], penalty="gradient"),
     partial(estimated, found=p.wing()[1]))  # fmt: skip
 add("family/StaticInversion, calibrated", calibrated, partial(estimated, found=p.kernel()[1][1]))
 add("family/StaticInversion, frozen", lambda: calibrated().freeze(), frozen_says)
-add("family/StaticInversion, frozen, pushes", lambda: calibrated(constraints=[NonNegative()]).freeze(), frozen_says)
+add(
+    "family/StaticInversion, frozen, pushes",
+    lambda: static(choice=p.LAM, constraints=[NonNegative()])().freeze(),
+    frozen_says,
+)
 add("family/calibration", lambda: calibrated().calibration)
 add("family/FieldDeconvolution", field, partial(estimated, record=p.span()[1], dt=1 / 400))
 add("family/HarmonicInversion", lambda: one_line()[0], partial(estimated, amplitudes=one_line()[1]))
@@ -565,6 +574,8 @@ add("answer/validation", lambda: validate.validate(histories().estimate(p.pushed
 add("answer/design", lambda: design.compare({"a": p.kernel()[0]}, noise=np.ones(24)), str)
 add("answer/placement", lambda: design.place(p.kernel()[0][:, ::6], 8, noise=0.1), lambda f: str(f.table()))
 add("path", path_of_ones_own, swept)
+add("path/statespace", lambda: case(p.chain(p.TWO).state_space(DT), 80).path("identity"), errors_of)
+add("path/convolved", lambda: ConvolvedPath(p.table().impulse_response(DT, p.N), p.pushed()[0], "identity"), errors_of)
 
 for setting in (
     Noise(np.array([0.1, 0.2]), **p.SOURCE), Lambda("gcv", path="dense"), Guards(["E501"]), Online(lag=3),
@@ -640,7 +651,7 @@ SHARED: dict[str, Shared] = {
                                       TIMED),
     "SparseDeconvolution": Shared(partial(histories, SparseDeconvolution, choice=0.1), HIT, TIMED),
     "StaticInversion": Shared(static(penalty="gradient"), p.kernel()[1][0]),
-    "StaticInversion, pushes": Shared(static(choice=p.LAM, constraints=[NonNegative()]), p.kernel()[1][0]),
+    "StaticInversion, pushes": Shared(partial(few_contacts, NonNegative()), p.kernel()[1][0]),
     "FieldDeconvolution": Shared(field, p.span()[1], (1 / 400,)),
     "HarmonicInversion": Shared(lambda: one_line()[0], one_line()[1]),
     "FrequencyInversion": Shared(lambda: lines()[0], lines()[1].values, wrap=spectra),
