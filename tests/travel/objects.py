@@ -525,7 +525,6 @@ add("family/SparseDeconvolution, splines", partial(histories, SparseDeconvolutio
 statics = partial(estimated, found=p.kernel()[1][0])
 add("family/StaticInversion", static(penalty="gradient"), drawn)
 add("family/StaticInversion, bounds", partial(few_contacts, Bounds(-1.0, 1.0)), statics)
-add("family/StaticInversion, cones", partial(few_contacts, FrictionCone(0.5, np.arange(9).reshape(3, 3))), statics)
 add("family/StaticInversion, wing", lambda: StaticInversion(p.wing.__wrapped__()[0], penalty="gradient"),
     partial(estimated, found=p.wing()[1]))  # fmt: skip
 add("family/StaticInversion, calibrated", calibrated, partial(estimated, found=p.kernel()[1][1]))

@@ -36,18 +36,21 @@ def pool() -> Iterator[ProcessPoolExecutor]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_it_answers_as_before_wherever_it_goes(name: str, pool: ProcessPoolExecutor) -> None:
-    """Before it was asked, and after: then what it keeps travels along, or is made again."""
+    """Before it was asked, and after: then what it keeps travels along, or is made again.
+
+    One of each kind, whose name has no comma, is asked in a new process too.
+    """
     kind = KINDS[name]
     own = kind.make()
     fresh = copy.deepcopy(pickle.loads(pickle.dumps(own)))
     assert type(fresh) is type(own)
     assert kind.ask(own) == kind.ask(fresh)
     blob = pickle.dumps(own)
-    elsewhere = pool.submit(answered, name, blob)
+    elsewhere = None if "," in name else pool.submit(answered, name, blob)
     used = copy.deepcopy(pickle.loads(blob))
     second = kind.ask(own)
     assert kind.ask(used) == second
-    assert elsewhere.result(WAIT) == second
+    assert elsewhere is None or elsewhere.result(WAIT) == second
 
 
 def test_no_public_class_is_forgotten() -> None:
