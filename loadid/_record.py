@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures import units as _units
 from structures._channels import Channel
 from structures._flags import Flag
+from structures._readonly import ReadOnly
 from structures.errors import InputError, plain, reals
 
 from . import _quality as quality
@@ -23,7 +24,7 @@ from ._inverse.problem import NoiseSource, NoiseSourceLike
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Record:
+class Record(ReadOnly):
     """Samples of some channels at a constant step.
 
     Parameters
@@ -331,7 +332,7 @@ def _refuse_infinite(table: NDArray[np.float64], channels: tuple[Channel, ...]) 
 
 
 @dataclass(frozen=True, eq=False)
-class Spectra:
+class Spectra(ReadOnly):
     """Complex amplitudes of responses on frequency lines, ``y(t) = Re[Y exp(i 2 pi f t)]`` on each.
 
     Parameters

@@ -20,6 +20,27 @@ LATER = {"variance", "frf", "errors"}  # fields that release 0.1 had not
 ARGUMENTS: dict[str, Arguments] = {}  # of every family
 
 
+class Progress:
+    """What a family tells of how far it is: ``progress(fraction, text)``; silent where nobody asked.
+
+    A callback belongs to the process that gave it: a family that is pickled arrives without it.
+    """
+
+    def __init__(self, call: Callable[[float, str], None] | None = None) -> None:
+        self.call = call
+
+    def __call__(self, fraction: float, text: str) -> None:
+        """Hand on how much is done, 0 to 1, and what is being done."""
+        if self.call is not None:
+            self.call(fraction, text)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Progress, ()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Progress:
+        return self
+
+
 @dataclass(frozen=True)
 class Arguments:
     """How the settings of a family are written, and how they were.

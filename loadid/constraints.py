@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from structures._readonly import ReadOnly
 from structures.errors import InputError, as_array, reals
 
 from ._inverse import Array, Indices
@@ -37,7 +38,7 @@ class NonNegative:
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class Bounds(ReadOnly):
     """Lower and upper limits of loads; infinite where there is none.
 
     Parameters
@@ -73,7 +74,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
+class Support(ReadOnly):
     """Only these loads act; the others are no unknowns at all (their columns are removed, not penalised).
 
     Parameters
@@ -96,7 +97,7 @@ class Support:
 
 
 @dataclass(frozen=True, eq=False)
-class Resultant:
+class Resultant(ReadOnly):
     """Resultant forces and moments C g = r: exact, or measured by a force/torque sensor with a covariance.
 
     Parameters
@@ -143,7 +144,7 @@ class Resultant:
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionCone:
+class FrictionCone(ReadOnly):
     """Coulomb friction |t_t| <= mu t_n at each contact: the load pushes, and does not leave its cone.
 
     Parameters

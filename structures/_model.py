@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from ._certificate import Certificate, bad_load, verified
 from ._channels import CHANNEL, Channel
 from ._flags import Flag
+from ._readonly import ReadOnly
 from .errors import InputError, digest, frozen, shown
 
 ASKED = (1e-2, 1e-3, 1e-4, 1e-5)  # steps in s at which a model that has none of its own is asked who it is
 
 
-class Model:
+class Model(ReadOnly):
     """A map from loads to responses. Subclasses override what they can give; the rest refuses by name.
 
     A model of one's own sets `sensors` and `loads` and overrides one of `static`, `frf`, `impulse_response` and

@@ -23,7 +23,7 @@ from .._inverse.gaussian.coarse import confirm
 from .._inverse.penalties import order
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import histories, local_variance
 from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_record, over_time, undetermined
@@ -114,7 +114,7 @@ class Deconvolution:
         self.model = as_model(model, "Deconvolution", "impulse_response")
         self.choice = 0.0 if held.L is None else checked(lam.choice)
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads that caused a record.

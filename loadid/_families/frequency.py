@@ -21,7 +21,7 @@ from .._inverse.posterior import SpectralPosterior
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts
 from .._results.functionals import LEVEL, LoadSpectrum, nearest_zeros
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
 from .answer import SolvedLoad, answer, of_lines, over_time
 from .data import rows_of
@@ -117,7 +117,7 @@ class FrequencyInversion:
         self.settings = LineSettings(known, Signal.of(signal), band)
         told_of = Guards.of(allow)
         self.allow, self.coverage = told_of.codes, told_of.coverage
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
 
     def estimate(self, found: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads behind spectra, cross spectra or a record.

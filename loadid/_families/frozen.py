@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._readonly import ReadOnly
 from structures.errors import InputError, reals
 from structures.files import _storage as storage
 
@@ -124,7 +125,7 @@ KIND = "frozen inverse"
 
 
 @dataclass(frozen=True, eq=False)
-class Frozen:
+class Frozen(ReadOnly):
     """A static inverse at a fixed lambda. Immutable; ``frozen(y)`` gives the loads of one reading.
 
     Parameters

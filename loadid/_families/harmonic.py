@@ -18,7 +18,7 @@ from .._inverse.diagnosis import identifiability
 from .._inverse.problem import NOT_KNOWN, STATED, LinearProblem
 from .._inverse.svd import SVDPath
 from .._results.estimate import Axis, LoadEstimate
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise
 from . import smoothness as spatial
 from .answer import Amplitudes, answer, of_path, undetermined
@@ -83,7 +83,7 @@ class HarmonicInversion:
         self.noise, self.sensors = Noise.of(noise), sensors
         told_of = Guards.of(allow)
         self.allow, self.coverage = told_of.codes, told_of.coverage
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
         self.basis = model.basis
         self.rows = rows_of(sensors, model)
         self.H: Complex = model.frf([self.frequency])[0][self.rows]

@@ -23,7 +23,7 @@ from .._inverse.gaussian.roots import solve_lower
 from .._inverse.gaussian.steady import SteadyFilter, steady
 from .._inverse.problem import NoiseSource
 from .._record import Record
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..priors import OU, Matern32, Matern52
 from ..settings import Guards, ModelErrors, Noise, Online, Priors
 from . import noise as noises
@@ -136,7 +136,7 @@ class LoadTracker:
         self.around = {"ambient": wrong.ambient, "bias": self.noise.bias, "start": believed.start,
                        "dummy": believed.dummy}  # fmt: skip
         self.allow, self.coverage = told_of.codes, told_of.coverage
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
 
     def fit(self, record: Any, dt: float | None = None) -> Tracker:
         """Settle noise, prior and gain on a record, and test what they are worth.

@@ -21,7 +21,7 @@ from .._inverse.problem import whiten
 from .._results.estimate import LoadEstimate
 from .._results.facts import provenance
 from .._results.location import LocationFacts, LocationResult, Rival
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..design._candidates import of_model
 from ..settings import Guards, Lambda, Noise, Search
 from . import noise as noises
@@ -132,8 +132,11 @@ class LocationSearch:
         self.noise, self.sensors, self.hold = Noise.of(noise), sensors, hold
         self.settings = dict(settings or {})
         self.grid = grid_of(model, asked.places)
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
         self._kept: tuple[Any, FactoredCandidates] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kept": None}  # the factors of a long record are large: they are made again
 
     def check(self, dt: float, samples: int) -> tuple[Flag, ...]:
         """Guards that need the model only: E512 where candidates at different places leave the same data.
@@ -198,10 +201,11 @@ class LocationSearch:
         size = float(np.sqrt(np.mean(level**2 if level.ndim == 1 else np.diagonal(level))))
         relative = level / (size if level.ndim == 1 else size**2)
         key = (data.dt, len(data.values), data.rows.tobytes(), relative.round(12).tobytes())
-        if self._kept is None or self._kept[0] != key:
-            self._kept = None  # the old factors must not lie beside the new ones
-            self._kept = key, self._factor(data, relative)
-        kept = self._kept[1]
+        last = self._kept  # read once: another thread may be at another record
+        if last is None or last[0] != key:
+            last = self._kept = None  # the old factors must not lie beside the new ones
+            last = self._kept = key, self._factor(data, relative)
+        kept = last[1]
         y = whiten(data.values, relative, axis=1)
         if not np.any(y):
             raise InputError("the record is zero throughout", where="record", expected="a response",

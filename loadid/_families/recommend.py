@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,14 @@ WORDS = {
 
 
 Run = Callable[[Any, float | None], LoadEstimate]
+
+
+def _estimated(
+    family: Callable[..., Any], model: Model, settings: Mapping[str, Any], record: Any, dt: float | None
+) -> LoadEstimate:
+    """Estimate of a record by a family that is made now."""
+    estimate: LoadEstimate = family(model, **settings).estimate(record, dt)
+    return estimate
 
 
 @dataclass(frozen=True)
@@ -296,11 +305,11 @@ class _Asked:
         taken = _chosen(own, self.load_class) if own else "tikhonov"
         reason = str(self.seen) + self._ranked(taken, criteria)
         if taken == "tikhonov":
-            run = self._by(lambda: Deconvolution(self.model, **self.settings).estimate)
+            run = self._by(Deconvolution, self.settings)
             return self._answer(taken, "Deconvolution", reason, criteria, scores, run)
         family = f"LoadTracker(prior={taken!r}).fit(record).smooth(record)"
         tracker = LoadTracker(self.model, prior=taken, gate=None, **self.settings)
-        return self._answer(taken, family, reason, criteria, scores, lambda r, dt: smoothed(tracker, r, dt))
+        return self._answer(taken, family, reason, criteria, scores, partial(smoothed, tracker))
 
     def waveforms(self, criteria: Mapping[str, float], scores: dict[int, float], best: int) -> Recommendation:
         """Spikes (1), or B-splines of a spacing."""
@@ -315,7 +324,7 @@ class _Asked:
                 f"SparseDeconvolution(dictionary='bspline', knots={best}), or Tikhonov with a load that only pushes"
             )
             settings = {**self.settings, "dictionary": "bspline", "knots": best}
-            run = self._by(lambda: SparseDeconvolution(self.model, **settings).estimate)
+            run = self._by(SparseDeconvolution, settings)
             return self._answer("pulses", family, reason + self._ranked("pulses", criteria), criteria, scores, run)
         spikes = SparseDeconvolution(self.model, **self.settings).estimate(self.record, self.dt)
         share = spikes.facts.amplitude_std_with_neighbours or 0.0
@@ -328,7 +337,7 @@ class _Asked:
                 f"(± {share:.0%} if neighbouring samples act too; Tikhonov shows a single-sample peak at "
                 f"{self.seen.shown:.0%} of its height)"
             )
-        run = self._by(lambda: SparseDeconvolution(self.model, **self.settings).estimate)
+        run = self._by(SparseDeconvolution, self.settings)
         reason += self._ranked("spikes", criteria)
         return replace(self._answer("spikes", "SparseDeconvolution", reason, criteria, scores, run), trusted=trusted)
 
@@ -345,8 +354,8 @@ class _Asked:
             text += f", although the load was declared as {self.load_class}"
         return text
 
-    def _by(self, family: Callable[[], Callable[..., LoadEstimate]]) -> Run:
-        return lambda record, dt: family()(record, dt)
+    def _by(self, family: Callable[..., Any], settings: Mapping[str, Any]) -> Run:
+        return partial(_estimated, family, self.model, dict(settings))
 
     def _answer(
         self, prior: str, family: str, reason: str, criteria: Mapping[str, float], scores: dict[int, float], run: Run

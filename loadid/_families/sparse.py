@@ -24,7 +24,7 @@ from .._inverse.sparse.path import SupportPosterior
 from .._inverse.sweep import RuleResult
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity
 from . import histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
@@ -111,7 +111,7 @@ class SparseDeconvolution:
         self.posing = PosingSettings(Noise.of(noise), Lambda(), Penalty(), told_of.codes, hold)
         self.model = as_model(model, "SparseDeconvolution", "impulse_response")
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
 
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads that caused a record.

@@ -21,7 +21,7 @@ from .._inverse.diagnosis import diagnose, identifiability
 from .._inverse.path import Solution
 from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
-from .._spellings import takes
+from .._spellings import Progress, takes
 from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
 from .answer import answer, of_path, of_static, undetermined
@@ -111,7 +111,7 @@ class StaticInversion:
             )
         self.noise, self.sensors = Noise.of(noise), sensors
         self.allow, self.coverage = told_of.codes, told_of.coverage
-        self._progress = progress or (lambda fraction, text: None)
+        self._progress = Progress(progress)
         self.basis = self.model.basis
         self.geometry = None if self.basis is None else geometry(self.basis)
         self.H = transfer(self.model, self.allow)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from statistics import NormalDist
 from types import MappingProxyType
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._certificate import Certificate
 from structures._flags import Flag, canonical, cautions, codes
+from structures._readonly import ReadOnly
 from structures.errors import InputError
 from structures.files import _storage as storage
 
@@ -32,7 +33,7 @@ Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
+class Axis(ReadOnly):
     """The first axis of a load: its name, unit and values (ascending)."""
 
     name: str
@@ -158,7 +159,7 @@ class LoadEstimate:
     def __reduce__(self) -> tuple[Any, ...]:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
         views = {k: v if v is None else dict(v) for k in ("provenance", "geometry") for v in [state[k]]}
-        return _rebuild, (state | views,)
+        return rebuilt, (type(self), state | views)
 
     # -- numbers --------------------------------------------------------------------------------------------------
     @property
@@ -478,5 +479,6 @@ def _check(e: LoadEstimate) -> None:
         need(e.response.shape == e.residual.shape, "residual and response differ", e.residual.shape, e.response.shape)
 
 
-def _rebuild(state: dict[str, Any]) -> LoadEstimate:
-    return LoadEstimate(**state)
+def rebuilt(kind: Callable[..., Any], state: dict[str, Any]) -> Any:
+    """An immutable result of its fields: its views of mappings cannot be pickled, and its arrays arrive writable."""
+    return kind(**state)

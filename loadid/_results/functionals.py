@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._readonly import ReadOnly
 from structures.errors import InputError, plain, real
 
 from .summary import plus_minus
@@ -47,7 +48,7 @@ LEVEL = 0.10  # predicted relative standard deviation above which a line is not 
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LoadSpectrum:
+class LoadSpectrum(ReadOnly):
     """Lines of an estimate. Arrays are (lines, loads) unless said.
 
     Parameters

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures._flags import Flag, canonical, codes
 from structures.files import _storage as storage
 
-from .estimate import LoadEstimate
+from .estimate import LoadEstimate, rebuilt
 from .facts import Facts, fact
 
 if TYPE_CHECKING:
@@ -157,6 +157,10 @@ class LocationResult:
         put(self, "facts", LocationFacts.of(self.facts))
         for name in ("geometry", "provenance"):
             put(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = {f.name: getattr(self, f.name) for f in fields(self)}
+        return rebuilt, (type(self), state | {name: dict(state[name]) for name in ("geometry", "provenance")})
 
     def __repr__(self) -> str:
         return f"<LocationResult {'; '.join(self.where)}; {'ambiguous' if self.ambiguous else 'not ambiguous'}>"

@@ -23,11 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures._readonly import ReadOnly
+
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Judged(ReadOnly):
     """What one set of sensors promises.
 
     Parameters

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,6 +171,13 @@ class Cell:
     faces: Index
     corners: int
     beyond: Callable[[Array], Array]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _cell, (self.name,)
+
+
+def _cell(name: str) -> Cell:
+    return CELLS[name]
 
 
 # -- hexahedron -------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .._channels import direction_code, direction_label
+from .._readonly import ReadOnly
 from .._system.factor import Factor
 from .._system.fields import Span, assembled, field_of, gauss
 from .._system.loads import Load
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(ReadOnly):
     """A face of a solid, divided into bilinear quadrilaterals.
 
     Parameters

@@ -25,6 +25,37 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 
+class SparseLU:
+    """SuperLU of a sparse matrix that can be copied and pickled: only the matrix travels, and is factorised again.
+
+    The same matrix and options give the same factor, bit for bit.
+
+    Parameters
+    ----------
+    A : sparse matrix (n, n)
+    options
+        As `scipy.sparse.linalg.splu` takes them.
+
+    Raises
+    ------
+    RuntimeError
+        If a pivot is exactly zero.
+    """
+
+    def __init__(self, A: Any, **options: Any) -> None:
+        self.A, self.options = A.tocsc(), options
+        self._lu: Any = splu(self.A, **options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_lu": None}
+
+    def solve(self, B: NDArray[Any]) -> NDArray[Any]:
+        """Solution of ``A X = B``, of the shape of `B`."""
+        if self._lu is None:
+            self._lu = splu(self.A, **self.options)
+        return np.asarray(self._lu.solve(B))
+
+
 class Factor:
     """Unpivoted sparse LU of a symmetric matrix, real or complex (complex symmetric, not Hermitian).
 
@@ -63,16 +94,17 @@ class Factor:
         if check:
             _check(self.K)
         try:
-            self._lu = splu(self.K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+            lu = SparseLU(self.K, **symmetric)
         except RuntimeError:  # an exactly zero pivot
-            self._lu = None
-        if self._lu is None or (check and not np.iscomplexobj(self.K)):
-            motion = null_vector(self.K, self._lu)
-            if motion is None and self._lu is None and structure is not None:
+            lu = None
+        if lu is None or (check and not np.iscomplexobj(self.K)):
+            motion = null_vector(self.K, lu)
+            if motion is None and lu is None and structure is not None:
                 motion = next((m.vector[structure.free] for m in structure.rigid_body_motions()), None)
             if motion is not None:
                 raise mechanism(motion, structure)
-            if self._lu is None:
+            if lu is None:
                 raise InputError(
                     "the matrix is indefinite: it cannot be factorised without pivoting",
                     where="Factor",
@@ -80,6 +112,7 @@ class Factor:
                     expected="a positive definite matrix",
                     hint="check the signs in K, and a compressive prestress beyond buckling",
                 )
+        self._lu: SparseLU = lu
 
     @classmethod
     def of(cls, structure: Any) -> Factor:
@@ -279,7 +312,7 @@ class Factor:
     def _apply(self, B: NDArray[Any]) -> NDArray[Any]:
         if np.iscomplexobj(B) and not np.iscomplexobj(self.K):
             return np.asarray(self._lu.solve(B.real) + 1j * self._lu.solve(B.imag))
-        return np.asarray(self._lu.solve(B))
+        return self._lu.solve(B)
 
 
 def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
@@ -288,7 +321,7 @@ def null_vector(K: Any, lu: Any = None) -> NDArray[np.float64] | None:
     Parameters
     ----------
     K : sparse (n, n)
-    lu : SuperLU, optional
+    lu : SparseLU, optional
         Factor of `K`; None when it has an exactly zero pivot.
     """
     size = abs(K)

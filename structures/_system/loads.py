@@ -13,6 +13,7 @@ from scipy import sparse
 
 from .._channels import Channel, direction_code, direction_label
 from .._flags import Evidence, Flag
+from .._readonly import ReadOnly
 from ..errors import InputError, numbers, one_of
 from ..errors import span as span_of
 from .fields import Span, field_of
@@ -219,7 +220,7 @@ class Patch(Load):
 
 
 @dataclass(frozen=True, eq=False)
-class MovingPoint(Load):
+class MovingPoint(ReadOnly, Load):
     """A force (N) that moves along a path: a vehicle on a bridge.
 
     Parameters

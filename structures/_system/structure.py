@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from .._channels import Dof
+from .._readonly import ReadOnly
 from ..errors import InputError, finite, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(ReadOnly):
     """A linear structure, M u'' + C u' + K u = f, held at its supports.
 
     Matrices cover all DOFs, supported ones included: supports are constraints, so that an applied load and a reaction

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._channels import Channel, named
 from .._flags import Flag
+from .._readonly import ReadOnly
 from ..errors import InputError, as_array, finite, frozen, own_step, plain, whole
 from ..errors import lines as checked_lines
 from .spectra import leakage, multiplicity, transforms
@@ -22,7 +23,7 @@ DETREND = ("constant", "linear", None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CrossSpectra:
+class CrossSpectra(ReadOnly):
     """One-sided cross-spectral densities ``S_xy = E[X conj(Y)]`` of some channels.
 
     Parameters

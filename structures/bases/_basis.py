@@ -13,6 +13,7 @@ from scipy import sparse
 
 from .._elements.beams import BeamField
 from .._elements.plates import PlateField
+from .._readonly import ReadOnly
 from .._system.loads import Load, refuse_supported
 from ..errors import InputError, numbers, shown
 
@@ -50,7 +51,7 @@ class BasisLoad(Load):
 
 
 @dataclass(frozen=True, eq=False)
-class Basis(Sequence[Load]):
+class Basis(ReadOnly, Sequence[Load]):
     """A load basis: what `ForwardModel` takes as ``loads=`` and then keeps as ``model.basis``.
 
     Load index = point * len(components) + component. The functions of `structures.bases` build it.
@@ -246,7 +247,7 @@ class Basis(Sequence[Load]):
     # -- tractions -------------------------------------------------------------------------------------------------
     @cached_property
     def _factor(self) -> Any:
-        from scipy.sparse.linalg import splu
+        from .._system.factor import SparseLU
 
         if self.mass is None:
             raise InputError(
@@ -256,7 +257,7 @@ class Basis(Sequence[Load]):
                 expected="a basis on a beam, a plate or a face of a solid",
                 hint="divide by a tributary area of your own",
             )
-        return splu(self.mass.tocsc())
+        return SparseLU(self.mass)
 
     def to_traction(self, loads: ArrayLike, *, lumped: bool = False) -> Array:
         """Tractions of nodal forces, by the boundary mass; distributed bases come back as they are.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -92,7 +93,7 @@ def patches(
     names = [_place(domain.names, box) for box in extents]
     return _distributed(
         "patches", structure, part, components, rule, psi, domain.lift(centres), names, mass=mass, shape=shape,
-        edges=edges, cells=cells, extents=extents, values=_box_values(domain, extents),
+        edges=edges, cells=cells, extents=extents, values=partial(_boxes_at, domain=domain, extents=extents),
     )  # fmt: skip
 
 
@@ -109,7 +110,7 @@ def _cell_patches(structure: Structure, part: Region, components: Components) ->
     return _distributed(
         "patches", structure, part, components, rule, psi, centres, names, mass=sparse.diags_array(areas).tocsr(),
         shape=None, edges=_sharing(domain.cells), cells=None, extents=extents if domain.boxed else None,
-        values=_box_values(domain, extents) if domain.boxed else None,
+        values=partial(_boxes_at, domain=domain, extents=extents) if domain.boxed else None,
     )  # fmt: skip
 
 
@@ -150,7 +151,7 @@ def hats(structure: Structure, grid: Any = None, *, region: Any = None, componen
         cells: Index | None
         edges, cells = _sides(domain.cells), domain.cells
         names = [f"hat {node}" for node in domain.nodes]
-        values = (lambda at: domain.node_hats_at(at, every)) if domain.boxed else None
+        values = partial(domain.node_hats_at, cells=every) if domain.boxed else None
     else:
         part.flat(where)
         lines = part.mesh_lines() if grid is None else grids.breaks(grid, part.window, domain.names, where)
@@ -159,9 +160,7 @@ def hats(structure: Structure, grid: Any = None, *, region: Any = None, componen
         along, shape = grids.product(lines), tuple(len(x) for x in lines[::-1])
         places, edges, cells = domain.lift(along), grids.neighbours(shape), grids.quads(shape)
         names = ["hat " + _place(domain.names, point) for point in along]
-        values = lambda at: grids.rowwise(  # noqa: E731  (one of two ways to the same thing)
-            [grids.hat(x, domain.project(at)[:, k]) for k, x in enumerate(lines)]
-        )
+        values = partial(_grid_hats, domain=domain, lines=lines)
     mass = (psi.T @ sparse.diags_array(rule.weights) @ psi).tocsr()
     return _distributed(
         "hats", structure, part, components, rule, psi, places, names, mass=mass, shape=shape, edges=edges,
@@ -212,22 +211,12 @@ def polynomials(structure: Structure, degree: int, *, region: Any = None, compon
     if domain.boxed and not filled:  # a face with gaps: squares are integrated too, to make them orthonormal
         rule = domain.rule(window, None, 2 * degree)
     orders = _orders(len(window), degree)
-
-    def products(along: Array) -> Array:
-        each = [grids.legendre(span, degree, along[:, k]) for k, span in enumerate(window)]
-        return np.asarray(np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0))
-
+    products = partial(_products, window=window, degree=degree)
     area = rule.weights.sum()
     mix = np.eye(len(orders))  # on a rectangle the products are orthonormal as they are
     if not filled:
         upper = np.linalg.qr(np.sqrt(rule.weights / area)[:, None] * products(rule.along), mode="r")
         mix = linalg.solve_triangular(upper * np.sign(np.diag(upper))[:, None], mix)
-
-    def values(at: Array) -> sparse.csr_array:
-        along = domain.project(at)
-        slack = grids.SNAP * np.ptp(window, axis=1)
-        on = np.all((along >= window[:, 0] - slack) & (along <= window[:, 1] + slack), axis=1)
-        return sparse.csr_array(np.where(on[:, None], products(along) @ mix, 0.0))
 
     psi = sparse.csr_array(products(rule.along) @ mix)
     centre = (rule.weights @ rule.places) / area
@@ -235,9 +224,30 @@ def polynomials(structure: Structure, degree: int, *, region: Any = None, compon
     mass = sparse.diags_array(np.full(len(orders), area)).tocsr()
     return _distributed(
         "polynomials", structure, part, components, rule, psi, np.tile(centre, (len(orders), 1)), names, mass=mass,
-        shape=None, edges=np.empty((0, 2), np.intp), cells=None, extents=None, values=values,
+        shape=None, edges=np.empty((0, 2), np.intp), cells=None, extents=None,
+        values=partial(_polynomials_at, domain=domain, window=window, degree=degree, mix=mix),
         measures=np.full(len(orders), area),
     )  # fmt: skip
+
+
+def _products(along: Array, window: Array, degree: int) -> Array:
+    """Products of Legendre polynomials up to a total degree at coordinates along the axes, (m, functions)."""
+    orders = _orders(len(window), degree)
+    each = [grids.legendre(span, degree, along[:, k]) for k, span in enumerate(window)]
+    return np.asarray(np.prod([table[:, orders[:, k]] for k, table in enumerate(each)], axis=0))
+
+
+def _polynomials_at(at: Array, domain: Domain, window: Array, degree: int, mix: Array) -> sparse.csr_array:
+    """Values of mixed products at places, zero outside the window."""
+    along = domain.project(at)
+    slack = grids.SNAP * np.ptp(window, axis=1)
+    on = np.all((along >= window[:, 0] - slack) & (along <= window[:, 1] + slack), axis=1)
+    return sparse.csr_array(np.where(on[:, None], _products(along, window, degree) @ mix, 0.0))
+
+
+def _grid_hats(at: Array, domain: Domain, lines: Sequence[Array]) -> sparse.csr_array:
+    """Values of the hats of a grid at places."""
+    return grids.rowwise([grids.hat(x, domain.project(at)[:, k]) for k, x in enumerate(lines)])
 
 
 def _orders(axes: int, degree: int) -> Index:
@@ -364,28 +374,23 @@ def _place(names: Sequence[str], values: ArrayLike) -> str:
     return " ".join(f"{name}={word}" for name, word in zip(names, words, strict=True))
 
 
-def _box_values(domain: Domain, extents: Array) -> Callable[[Array], sparse.csr_array]:
+def _boxes_at(at: Array, domain: Domain, extents: Array) -> sparse.csr_array:
     """Indicators of boxes at places; where patches overlap both count, a shared side belongs to the first."""
     slack = grids.SNAP * np.ptp(domain.bounds, axis=1)
-    area = np.prod(extents[..., 1] - extents[..., 0], axis=-1)
-
-    def values(at: Array) -> sparse.csr_array:
-        along = domain.project(at)
-        rows, columns = [], []
-        step = max(1, 4_000_000 // len(extents))
-        for start in range(0, len(along), step):
-            part = along[start : start + step, None]
-            on = np.all((part >= extents[..., 0] - slack) & (part <= extents[..., 1] + slack), axis=-1)
-            inner = np.all((part > extents[..., 0] + slack) & (part < extents[..., 1] - slack), axis=-1)
-            alone = np.flatnonzero(on.any(axis=1) & ~inner.any(axis=1))
-            inner[alone, on[alone].argmax(axis=1)] = True
-            i, j = np.nonzero(inner)
-            rows.append(start + i)
-            columns.append(j)
-        i, j = np.concatenate(rows), np.concatenate(columns)
-        return sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(along), len(area))).tocsr()
-
-    return values
+    along = domain.project(at)
+    rows, columns = [], []
+    step = max(1, 4_000_000 // len(extents))
+    for start in range(0, len(along), step):
+        part = along[start : start + step, None]
+        on = np.all((part >= extents[..., 0] - slack) & (part <= extents[..., 1] + slack), axis=-1)
+        inner = np.all((part > extents[..., 0] + slack) & (part < extents[..., 1] - slack), axis=-1)
+        alone = np.flatnonzero(on.any(axis=1) & ~inner.any(axis=1))
+        inner[alone, on[alone].argmax(axis=1)] = True
+        i, j = np.nonzero(inner)
+        rows.append(start + i)
+        columns.append(j)
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    return sparse.coo_array((np.ones(len(i)), (i, j)), shape=(len(along), len(extents))).tocsr()
 
 
 def _sides(cells: Index) -> Index:

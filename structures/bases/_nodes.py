@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -235,6 +236,11 @@ def _reach(
     return sparse.csr_array(spread.tocsr() @ beside.tocsr())
 
 
+def _hats_at(at: Array, domain: Domain, cells: Index, kept: Index) -> sparse.csr_array:
+    """Functions of some of the nodes at places, zero beside the cells."""
+    return domain.node_hats_at(at, cells)[:, kept]
+
+
 # -- the mesh over the nodes ------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Mesh:
@@ -268,5 +274,5 @@ class _Mesh:
             sides[np.all(sides >= 0, axis=1)],
             np.asarray(hats.T @ rule.weights, float),
             (hats.T @ sparse.diags_array(rule.weights) @ hats).tocsr(),
-            (lambda at: domain.node_hats_at(at, every)[:, kept]) if domain.boxed else None,
+            partial(_hats_at, domain=domain, cells=every, kept=kept) if domain.boxed else None,
         )

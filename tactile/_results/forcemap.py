@@ -16,6 +16,7 @@ from loadid._results.estimate import Axis, LoadEstimate
 from loadid._results.facts import Facts, fact
 from loadid._results.summary import plus_minus
 from structures._flags import Flag
+from structures._system.factor import SparseLU
 from structures.errors import InputError
 
 from .._arrays import Array, Mask, shaped
@@ -305,9 +306,7 @@ class ForceMap(LoadEstimate):
 
     @cached_property
     def _solve(self) -> Any:
-        from scipy.sparse.linalg import splu
-
-        return splu(self._mass.tocsc()).solve if "mass_data" in self._geometry else None
+        return SparseLU(self._mass).solve if "mass_data" in self._geometry else None
 
     @property
     def _covariance(self) -> Array:

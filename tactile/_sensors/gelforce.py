@@ -9,6 +9,7 @@ is the half-space on a thin pad, so the kernels of a bonded layer stand beside t
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -89,11 +90,8 @@ class GelForce(LinearSensor):
             thin = closed.thin_pad(extent.contact_radius, extent.thickness, ground.nu, allow=allow)
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
-        def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
-            return np.asarray(pick(influence(ground, points, places)))
-
         body = PressedBody(
-            ground, ground.h if isinstance(ground, Layer) else None, transfer,
+            ground, ground.h if isinstance(ground, Layer) else None, partial(_rows, ground, places),
             of_points(surface, area, (0.0, 0.0, ground.top)), flags=() if thin is None else (thin,),
             about={"ground": repr(ground), "forces": len(places), "markers": len(markers)},
         )  # fmt: skip
@@ -131,6 +129,11 @@ class GelForce(LinearSensor):
     def at(self, lam: float) -> Inverse:
         """The frozen inverse at another relative lambda."""
         return prepare(self.family, self.resultant, float(lam))
+
+
+def _rows(ground: HalfSpace | Layer, places: Array, points: Array, pick: Callable[[Any], Any]) -> Array:
+    """Rows of the motion of points under unit point forces at places."""
+    return np.asarray(pick(influence(ground, points, places)))
 
 
 def influence(ground: HalfSpace | Layer, points: Array, forces: Array) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 ROUNDS = 20  # in which nodes that would be pulled are let go of an indenter
 PASSES = 3  # of projection correction, where the normal motion follows from the solution
+KEPT = 32  # interpolations and completions
+T = TypeVar("T")
 
 
 class GelSlim(MarkedSensor):
@@ -100,7 +102,6 @@ class GelSlim(MarkedSensor):
         if kept is not None:
             self._may = np.isin(np.arange(pad.points), kept // 3)
         self._completions: dict[bytes, Completion] = {}
-        self._noted: dict[int, Flag | None] = {}
         self._interpolations: dict[bytes, Interpolation] = {}
         self._solver: RegionSolver | None = None
         self._strain = StrainWatch(pad)
@@ -153,14 +154,10 @@ class GelSlim(MarkedSensor):
 
     # -- steps --------------------------------------------------------------------------------------------------------
     def _interpolation(self, seen: Mask) -> Interpolation:
-        key = seen.tobytes()
-        if key not in self._interpolations:
-            if len(self._interpolations) > 32:
-                self._interpolations.clear()
-                self._noted.clear()
-            points = self.markers.points[seen, :2]
-            self._interpolations[key] = Interpolation(points, self.pad.nodes2d, self.interpolation)
-        return self._interpolations[key]
+        points = self.markers.points[seen, :2]
+        return _kept(
+            self._interpolations, seen.tobytes(), lambda: Interpolation(points, self.pad.nodes2d, self.interpolation)
+        )
 
     def _normal(
         self, motion: Array, seen: Mask, field: Interpolation, deep: Array | None, indenter: Indenter | None
@@ -224,12 +221,7 @@ class GelSlim(MarkedSensor):
         return sparse.csr_array(self.pad.from_surface(self.markers.points))[2::3][:, 2::3]
 
     def _completion(self, known: Mask) -> Completion:
-        key = known.tobytes()
-        if key not in self._completions:
-            if len(self._completions) > 32:
-                self._completions.clear()
-            self._completions[key] = Completion.of(self.pad, known, self.K)
-        return self._completions[key]
+        return _kept(self._completions, known.tobytes(), lambda: Completion.of(self.pad, known, self.K))
 
     def _answer(
         self, known: Mask, U: Array, completion: Completion, field: Interpolation, seen: Mask, how: str
@@ -291,13 +283,6 @@ class GelSlim(MarkedSensor):
         """Rows of what is read of the markers from the motion of the nodes."""
         return self.markers.rows(sparse.csr_array(self.pad.from_surface(self.markers.points)))
 
-    def _correlated(self, field: Interpolation) -> Flag | None:
-        """W605, found once for every set of markers that are seen."""
-        key = id(field)
-        if key not in self._noted:
-            self._noted[key] = field.flag()
-        return self._noted[key]
-
     @cached_property
     def _fingerprint(self) -> str:
         K = self.pad.structure.K_free
@@ -315,7 +300,7 @@ class GelSlim(MarkedSensor):
         provided = {"x": "tracked", "y": "tracked", "z": how}
         lost = int(np.sum(~seen)) * len(self.markers.axes)
         own = [
-            *self.pad.flags, *flags, stopped, guards.completed(provided), self._correlated(field),
+            *self.pad.flags, *flags, stopped, guards.completed(provided), field.correlated,
             self._strain.check(answer.load.reshape(-1, 3)),
             guards.lost(lost, self.markers.readings_count),
         ]  # fmt: skip
@@ -344,3 +329,14 @@ class GelSlim(MarkedSensor):
                 prior="none: the map is a product of the stiffness with what was observed",
             ),
         )
+
+
+def _kept(store: dict[bytes, T], key: bytes, make: Callable[[], T]) -> T:
+    """What was made before for a key, or now; the same under threads, which may empty the store in between."""
+    found = store.get(key)
+    if found is None:
+        found = make()
+        if len(store) > KEPT:
+            store.clear()
+        store[key] = found
+    return found

@@ -22,6 +22,7 @@ from loadid._inverse.constrained.activeset import ActivePoint
 from loadid._inverse.constrained.feasible import Feasible, compile_
 from loadid._inverse.constrained.quadratic import Quadratic, gram_of
 from loadid.constraints import Constraint, FrictionCone, NonNegative, Resultant
+from structures._readonly import ReadOnly
 from structures._system.factor import compliance
 from structures.errors import InputError
 
@@ -46,7 +47,7 @@ class Answer:
 
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
+class Inverse(ReadOnly):
     """Regularised inverse at one lambda (relative, times `scale`, by `rule`), in readings whitened by `noise` (m,).
 
     `matrix` G (n, m) gives loads per whitened reading, in single precision where it is large; `influence` A = H G (m,
@@ -250,8 +251,7 @@ class RegionSolver:
     ) -> None:
         self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
         self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
-        self._last: _Region | None = None
-        self._point: ActivePoint | None = None
+        self._state: tuple[_Region | None, ActivePoint | None] = None, None  # of the last frame: one value, for threads
 
     def solve(self, z: Array, touched: Mask, wrench: Wrench | None, free: Answer) -> Pressed:
         """Load for whitened readings; `touched` (P,) says where contact is, a ring about it is added.
@@ -264,8 +264,9 @@ class RegionSolver:
         if not wanted.any():
             return Pressed(np.zeros(n), free.std, free.wrench, 0, True, touched=False)
         lost = np.flatnonzero(~np.isfinite(z))
-        region = self._region(wanted, lost)
-        point = self._solve(region, np.where(np.isfinite(z), z, 0.0), wrench)
+        region, start = self._region(wanted, lost)
+        point = self._solve(region, np.where(np.isfinite(z), z, 0.0), wrench, start)
+        self._state = region, point
         load, std = np.zeros(n), np.zeros(n)
         spread = region.spread(wrench)
         load[region.columns], std[region.columns] = point.h * region.flip, spread.std
@@ -274,30 +275,25 @@ class RegionSolver:
     def _grown(self, mask: Mask) -> Mask:
         return np.asarray(self.neighbours @ mask, bool) | mask
 
-    def _region(self, wanted: Mask, lost: Index) -> _Region:
-        """The last region while it still covers the contact and the same markers are lost."""
-        last = self._last
+    def _region(self, wanted: Mask, lost: Index) -> tuple[_Region, ActivePoint | None]:
+        """The last region while it still covers the contact and the same markers are lost; where to start in it."""
+        last, point = self._state
         if last is not None and np.array_equal(last.lost, lost):
             inside = np.zeros(len(wanted), bool)
             inside[last.nodes] = True
             if not np.any(wanted & ~inside) and inside.sum() <= GROWTH * self._grown(wanted).sum():
-                return last
-        self._point = None if last is None else self._point
+                return last, point
         region = _Region(self, np.flatnonzero(self._grown(wanted)), lost)
-        self._point = None if self._point is None else self._moved(last, region)
-        self._last = region
-        return region
+        return region, None if last is None or point is None else self._moved(last, point, region)
 
-    def _moved(self, last: _Region | None, region: _Region) -> ActivePoint | None:
+    def _moved(self, last: _Region, point: ActivePoint, region: _Region) -> ActivePoint:
         """The last answer on the nodes of a new region."""
-        if last is None or self._point is None:
-            return None
         whole = np.zeros(self.H.shape[1])
-        whole[last.columns] = self._point.h
+        whole[last.columns] = point.h
         start = activeset.origin(region.feasible(self.friction, None))
         return replace(start, h=whole[region.columns])
 
-    def _solve(self, region: _Region, z: Array, wrench: Wrench | None) -> ActivePoint:
+    def _solve(self, region: _Region, z: Array, wrench: Wrench | None, start: ActivePoint | None) -> ActivePoint:
         b = region.Q.T @ z
         quadratic, feasible = region.problem(self.friction)
         if wrench is not None:
@@ -308,8 +304,6 @@ class RegionSolver:
                 soft = rows / wrench.std[:, None]
                 quadratic = Quadratic(np.vstack([region.A, soft]), feasible, region.gram + gram_of(soft))
                 b = np.concatenate([b, wrench.value / wrench.std])
-        start = self._point
         if start is not None and (len(start.nu) != len(feasible.equal) or len(start.h) != len(region.columns)):
             start = None
-        self._point = activeset.solve(quadratic, b, feasible, start)
-        return self._point
+        return activeset.solve(quadratic, b, feasible, start)

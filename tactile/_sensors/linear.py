@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -423,21 +423,22 @@ class MultilayerPad(LinearSensor):
         if eye is not None:
             settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
-
-        def transfer(points: Array, pick: Callable[[Any], Any]) -> Array:
-            per_force = pick(pad.from_surface(points)) @ pad.compliance
-            return np.asarray((mass.T @ per_force.T).T)
-
         basis = bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z"))
         given = observed(markers, eye)
         super().__init__(
-            PressedBody(pad, pad.thickness, transfer, of_pad(pad), basis, pad.flags,
+            PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags,
                         {"pad": repr(pad), "markers": len(given)}),
             given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), **settings,
         )  # fmt: skip
 
     def _checked(self, load: Array) -> list[Flag | None]:
         return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
+
+
+def _rows(pad: Pad, mass: Any, points: Array, pick: Callable[[Any], Any]) -> Array:
+    """Rows (rows, 3 P) of the motion of points under tractions, whose nodal forces are `mass` times them."""
+    per_force = pick(pad.from_surface(points)) @ pad.compliance
+    return np.asarray((mass.T @ per_force.T).T)
 
 
 def windows(pad: Pad, depth: DepthMap, width: float | None) -> Depths:

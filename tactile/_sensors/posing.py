@@ -10,6 +10,7 @@ discrepancy bounds it. Where both lie far below the discrepancy, they follow an 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,8 +31,6 @@ from .marked import ContactLaw
 from .observation import Wrench
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from loadid._families.frozen import Calibration
     from loadid._inverse.choice import Choice
     from loadid._results.estimate import LoadEstimate
@@ -120,19 +119,20 @@ class StrainWatch:
 
     def __init__(self, pad: Pad) -> None:
         self.pad = pad
-        self._peak, self._ratio, self._rested = 0.0, 0.0, REST
+        self._last = 0.0, 0.0, REST  # peak and ratio of the last solve, frames since: one value, for threads
 
     def check(self, forces: Array) -> Flag | None:
         """W112 of nodal forces (P, 3) in N, if the pad is strained beyond the linear range."""
         peak = float(np.abs(forces).max(initial=0.0))
         if peak == 0:
             return None
-        self._rested += 1
-        other = not self._peak / LIKE < peak < self._peak * LIKE
-        if (other and self._rested > REST) or peak > GROWN * self._peak:
-            self._peak, self._ratio = peak, float(np.abs(self.pad.strain(forces)).max()) / peak
-            self._rested = 0
-        return large_strain(self._ratio * peak)
+        known, ratio, rested = self._last
+        rested += 1
+        other = not known / LIKE < peak < known * LIKE
+        if (other and rested > REST) or peak > GROWN * known:
+            known, ratio, rested = peak, float(np.abs(self.pad.strain(forces)).max()) / peak, 0
+        self._last = known, ratio, rested
+        return large_strain(ratio * peak)
 
 
 RULES = ("upre", "gcv")
@@ -149,7 +149,7 @@ def estimated(family: StaticInversion, found: Any) -> LoadEstimate:
         return family.estimate(found)
     first, rule = _asked(family, found)
     assert first.choice is not None
-    return first if rule == first.choice.rule else _with_rule(family, rule, lambda: family.estimate(found))
+    return first if rule == first.choice.rule else _with_rule(family, rule).estimate(found)
 
 
 def calibrated(family: StaticInversion, records: Sequence[Any]) -> Calibration:
@@ -157,7 +157,7 @@ def calibrated(family: StaticInversion, records: Sequence[Any]) -> Calibration:
     if family.choice is not None:
         return family.calibrate(records)
     rule = _asked(family, np.array(records))[1]
-    family.calibration = _with_rule(family, rule, lambda: family.calibrate(records))
+    family.calibration = _with_rule(family, rule).calibrate(records)
     return family.calibration
 
 
@@ -194,7 +194,7 @@ def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:
     """Estimate by the first rule that can run on these readings, and the rule to take."""
     for rule in LAST:
         try:
-            first: LoadEstimate = _with_rule(family, rule, lambda: family.estimate(found))
+            first: LoadEstimate = _with_rule(family, rule).estimate(found)
         except InputError:
             if rule == LAST[-1]:
                 raise
@@ -205,12 +205,11 @@ def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:
     raise AssertionError("a rule or its refusal")
 
 
-def _with_rule(family: StaticInversion, rule: str, act: Callable[[], Any]) -> Any:
-    family.choice = rule
-    try:
-        return act()
-    finally:
-        family.choice = None
+def _with_rule(family: StaticInversion, rule: str) -> StaticInversion:
+    """The same family with a rule of its own: the one of the sensor, which threads may share, stays as it is."""
+    other = copy(family)
+    other.choice = rule
+    return other
 
 
 class PadModel(MatrixModel):

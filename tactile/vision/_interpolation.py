@@ -7,6 +7,7 @@ therefore kept as a matrix, U = W d, and the covariance W Sigma W^T goes with th
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -211,6 +212,11 @@ class Interpolation:
         values = np.linalg.svd(half / std[:, None], compute_uv=False) ** 2
         rank = int((values > len(half) * np.finfo(float).eps * values[0]).sum())
         return float(values.sum() ** 2 / (values**2).sum()), rank
+
+    @cached_property
+    def correlated(self) -> Flag | None:
+        """`flag` of markers that are all as noisy, found once."""
+        return self.flag()
 
     def flag(self, sigma: ArrayLike = 1.0) -> Flag | None:
         """W605 where interpolation correlates the noise."""

@@ -188,7 +188,7 @@ def test_the_constrained_answer_is_that_of_an_interior_point_solver() -> None:
 
     s = sensor(contact=NO_PULL)
     found = s.estimate(motion(1))
-    region = s._quick[True]._region._last
+    region = s._quick[True]._region._state[0]
     assert region is not None
     noise, lam = NOISE, s.inverse.lam * s.inverse.scale
     A = np.vstack([s.model.H[:, region.columns] / noise, lam * np.eye(len(region.columns))])

@@ -19,7 +19,7 @@ from ..._inverse import marginal
 from ..._inverse import sweep as whiteness
 from ..._inverse.choice import Choice, choose
 from ..._inverse.constrained.path import ConstrainedPath
-from ..._inverse.constrained.solver import soft
+from ..._inverse.constrained.solver import ConstrainedSolution, ConstrainedSolver, soft
 from ..._inverse.diagnosis import diagnose, identifiability
 from ..._inverse.path import Solution
 from ..._inverse.problem import NOT_KNOWN, LinearProblem, whiten
@@ -191,14 +191,21 @@ class StaticProblem:
 
     def solver(self, lam: float) -> Callable[..., NDArray[np.float64]]:
         """Solver of one reading after another under the constraints, each started from the one before."""
-        prepared, W, last = self.path.prepare(lam), self.whitening, [None]
+        return _Warm(self.path.prepare(lam), self.whitening)
 
-        def solve(y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
-            found = prepared.solve(W @ y, warm=last[0], resultants=resultants)
-            last[0] = found
-            return np.asarray(found.load)
 
-        return solve
+@dataclass(eq=False)
+class _Warm:
+    """A solver that starts each reading (sensors,) from the solution of the one before."""
+
+    prepared: ConstrainedSolver
+    whitening: NDArray[np.float64]
+    last: ConstrainedSolution | None = None
+
+    def __call__(self, y: NDArray[np.float64], resultants: Sequence[ArrayLike] | None = None) -> NDArray[np.float64]:
+        found = self.prepared.solve(self.whitening @ y, warm=self.last, resultants=resultants)
+        self.last = found
+        return np.asarray(found.load)
 
 
 def transfer(model: Model, allow: Sequence[str]) -> NDArray[np.float64]:

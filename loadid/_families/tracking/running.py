@@ -145,6 +145,10 @@ class Running:
         self._origin: Any = None  # the model of the structure, where it is at hand
         self.reset()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        own = self.fitted, self.gate, self.lag, self.replay, self.engine
+        return _arrived, (type(self), own, self._origin, self.to_tree(), self.row_alarms)
+
     def made_of(self, model: Any) -> None:
         """The model of the structure behind the filter, for `update_model`: a file does not hold it."""
         self._origin = model
@@ -518,3 +522,15 @@ class Running:
         if settled is not None:
             return settled.innovation_std
         return np.asarray(np.linalg.norm(self.fitted.model.LR, axis=1))
+
+
+def _arrived(
+    kind: type[Running], own: tuple[Any, ...], origin: Any, tree: dict[str, Any], alarms: NDArray[np.int_]
+) -> Running:
+    """A copy or an unpickled one: it goes on from the same sample, bit for bit, as one from a file does."""
+    fitted, gate, lag, replay, engine = own
+    made = kind(fitted, gate, lag, replay=replay, engine=engine)
+    made.made_of(origin)
+    made.restore(tree)
+    made.row_alarms = alarms
+    return made

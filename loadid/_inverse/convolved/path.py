@@ -5,7 +5,7 @@ And the zero-padded path in the frequency domain: right where the response has d
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -186,7 +186,7 @@ class ConvolvedPath(RegularizationPath):
         if pilot not in self._errors:
             load = self._solved(pilot).x
             response = self.operator.convolve(load)
-            self._errors = {pilot: HermiteTable(lambda at: self._bias2(at, load, response), self.lowest)}
+            self._errors = {pilot: HermiteTable(partial(self._bias2, load, response), self.lowest)}
         noise = self._noise2(lam) if sigma > 0 else 0.0
         return np.asarray(self._errors[pilot].at(lam)[0] + sigma**2 * noise)
 
@@ -349,7 +349,7 @@ class ConvolvedPath(RegularizationPath):
         falling = np.maximum.accumulate(value[::-1])[::-1]
         return grid, np.maximum(falling, np.finfo(float).tiny)
 
-    def _bias2(self, lam: float, load: Array, response: Array) -> tuple[Array, ...]:
+    def _bias2(self, load: Array, response: Array, lam: float) -> tuple[Array, ...]:
         """Squared distance of a load from what would be made of its response: logarithm with two slopes."""
         one, two, three = self._chain(lam, response)[0]
         lost = load - one

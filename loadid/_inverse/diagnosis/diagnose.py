@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._readonly import ReadOnly
 from structures.errors import InputError, NotIdentifiable, plain
 
 from .. import Array
@@ -158,7 +159,7 @@ def spreads(columns: ArrayLike, loads: NDArray[np.int64], layout: LoadLayout) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(ReadOnly):
     """What the data can tell at one lambda: plain arrays and numbers, modes in order of falling generalised values.
 
     Parameters

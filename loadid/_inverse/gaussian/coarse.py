@@ -159,9 +159,10 @@ class WindowsPath(StateSpacePath):
         """Whitened residuals of the windows side by side, (samples, windows * m)."""
         return np.hstack([y - one.response for y, one in zip(self.windows, self._each(lam)[1], strict=True)])
 
-    def _bias2(self, at: float, pilot: float) -> float:
+    def _bias2(self, pilot: float, at: float) -> Array:
         then, each = self._each(at)[0], self._each(pilot)[1]
-        return self._sum(np.sum((solve(self.record, then, one.response).load - one.load) ** 2) for one in each)
+        lost = (np.sum((solve(self.record, then, one.response).load - one.load) ** 2) for one in each)
+        return np.array([self._sum(lost)])
 
     def _sum(self, each: Iterable[float]) -> float:
         """Weighted sum over the windows."""

@@ -44,6 +44,9 @@ class Compiled:
         self._fast: Callable[..., Any] | None = None
         update_wrapper(self, function)
 
+    def __reduce__(self) -> str:
+        return self.plain.__qualname__  # there is one of each, in its module
+
     @property
     def built(self) -> bool:
         """Whether the compiler is loaded, and a call costs no more than the loop."""

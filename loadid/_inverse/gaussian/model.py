@@ -31,13 +31,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._readonly import ReadOnly
 from structures.errors import InputError, plain, positive
 
 from .roots import Array, Riccati, fixed_point, joined, lower, solve_lower, solve_lower_transposed, square
 
 
 @dataclass(frozen=True, eq=False)
-class FilterModel:
+class FilterModel(ReadOnly):
     """``x_{k+1} = F x_k + w_k``, ``y_k = H x_k + v_k``, load ``p_k = Cp x_k``; covariances are kept as roots.
 
     Parameters

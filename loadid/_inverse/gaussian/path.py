@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -177,7 +178,7 @@ class StateSpacePath(RegularizationPath):
                              expected="between 1e-140 and 1e140",
                              hint="check the sensors, the loads and the units")  # fmt: skip
         self._own: dict[float, Scalars] = {}
-        self._table = self._new_table(lambda lam: self.scalars(lam).array())
+        self._table = self._new_table(self._row)
         self._kept: dict[float, tuple[Gains, Solved]] = {}
         self._errors: dict[float, SplineTable] = {}
         self._pilot: tuple[float, Solved] | None = None
@@ -250,7 +251,7 @@ class StateSpacePath(RegularizationPath):
 
     def exact(self, lam: float) -> PathPoint:
         """Scalars at one relative lambda without interpolation; traces of powers from a fine stencil in ln lambda."""
-        table = SplineTable(lambda x: self.scalars(x * lam).array(), step=0.02)
+        table = SplineTable(lambda x: self._row(x * lam), step=0.02)
         point = self._point(np.array([lam]), table.at(np.ones(1)))
         own = self.scalars(lam)
         values: Any = {k: None if v is None else v[0] for k, v in vars(point).items()}
@@ -262,7 +263,7 @@ class StateSpacePath(RegularizationPath):
         lam = np.atleast_1d(np.asarray(lam, float))
         self._check(lam)
         if pilot not in self._errors:
-            self._errors[pilot] = self._new_table(lambda at: np.array([self._bias2(at, pilot)]))
+            self._errors[pilot] = self._new_table(partial(self._bias2, pilot))
         # noise: tr of P H^T H P, with P = (H^T H + lam^2 L^T L)^-1 and dP/dt = -lam^2 P L^T L P
         trace, slope, *_ = self._table.at(lam).slopes(FIELDS.index("trace"))
         return np.asarray(self._errors[pilot].at(lam).value(0) + sigma**2 * np.maximum(trace + slope, 0.0))
@@ -355,12 +356,15 @@ class StateSpacePath(RegularizationPath):
             bend=bend,
         )
 
-    def _bias2(self, at: float, pilot: float) -> float:
+    def _row(self, lam: float) -> Array:
+        return self.scalars(lam).array()
+
+    def _bias2(self, pilot: float, at: float) -> Array:
         """Squared distance of the estimate at `pilot` from what would be made of its response."""
         if self._pilot is None or self._pilot[0] != pilot:
             self._pilot = pilot, self._solved(pilot)[1]
         first = self._pilot[1]
-        return float(np.sum((self._again(at, self._gains(at), self._heard(first)).load - first.load) ** 2))
+        return np.array([np.sum((self._again(at, self._gains(at), self._heard(first)).load - first.load) ** 2)])
 
     def _new_table(self, compute: Callable[[float], Array]) -> SplineTable:
         return SplineTable(compute, step=WIDE, around=1, degree=5) if self.quick else SplineTable(compute)
