@@ -65,16 +65,35 @@ def variances(
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
     variance = np.empty((record.samples if every_sample else 1, len(read)))
     trace, penalty = _recursion(
-        record.F, record.G, record.E, read, record.kind, gains.K, gains.R, gains.which, X, variance, every_sample,
-        record.stride,
+        *record.entries, record.F, record.G, record.E, read, record.kind, gains.K, gains.R, gains.which, X, variance,
+        every_sample, record.stride,
     )  # fmt: skip
     return LoadVariances(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
 
 
 @Compiled
+def _closed_times(at: Array, entries: Array, G: Array, K: Array, X: Array, fed: Array, turned: Array) -> None:
+    """Put ``X^T (F - G K)^T`` into `turned`, F by its entries, few in modal form; `fed` is for K X."""
+    n, p = X.shape[0], G.shape[1]
+    for i in range(n):
+        for h in range(n):
+            turned[i, h] = 0.0
+    for e in range(len(entries)):
+        one, to, of = entries[e], at[0, e], at[1, e]
+        for h in range(n):
+            turned[h, to] += one * X[of, h]
+    multiply(K, X, fed)
+    for h in range(n):
+        for c in range(p):
+            one = fed[c, h]
+            for i in range(n):
+                turned[h, i] -= one * G[i, c]
+
+
+@Compiled
 def _recursion(
-    F: Array, G: Array, E: Array, read: Array, kind: Array, K: Array, R: Array, which: Array, X: Array,
-    variance: Array, every: bool, stride: int,
+    at: Array, entries: Array, F: Array, G: Array, E: Array, read: Array, kind: Array, K: Array, R: Array,
+    which: Array, X: Array, variance: Array, every: bool, stride: int,
 ) -> tuple[float, float]:  # fmt: skip
     """Fill `variance` of the combinations where wanted; sums of their variances and of those of the inputs."""
     n, p, q, samples = F.shape[1], G.shape[2], len(read), len(kind)
@@ -147,8 +166,8 @@ def _recursion(
                     continue
             scale(X, 1.0, old)
         since += 1
-        multiply(closed, X, moved)
-        multiply_by_transposed(moved, closed, X)
+        _closed_times(at, entries[j], G[j], K[row], X, fast, moved)
+        _closed_times(at, entries[j], G[j], K[row], moved, fast, X)
         for i in range(n):
             for h in range(n):
                 X[i, h] += fed[i, h]
