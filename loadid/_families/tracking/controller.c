@@ -50,20 +50,24 @@ static void fold(real *t, int width, real *a, int k, int rows, int count) {
   int i, j, c;
   for (j = 0; j < count; ++j) {
     real *own = a + j * k, *diagonal = t + j * width + j;
-    const real rest = dot(own, own, k);
-    real size, first, turn;
-    if (!(rest > R(0))) continue;
-    size = SQRT(*diagonal * *diagonal + rest);
-    if (*diagonal > R(0)) size = -size;
-    first = *diagonal - size;
-    turn = R(-1) / (size * first);
-    for (i = j + 1; i < rows; ++i) {
-      real *row = a + i * k, *entry = t + i * width + j;
-      const real move = turn * (first * *entry + dot(own, row, k));
-      *entry -= move * first;
-      for (c = 0; c < k; ++c) row[c] -= move * own[c];
+    real most = R(0), size, first, turn;
+    for (c = 0; c < k; ++c) most = ABS(own[c]) > most ? ABS(own[c]) : most;
+    if (most >= TINY) {
+      if (ABS(*diagonal) > most) most = ABS(*diagonal);
+      for (c = 0; c < k; ++c) own[c] /= most; /* squares of small numbers are none in single precision */
+      first = *diagonal / most;
+      size = SQRT(first * first + dot(own, own, k));
+      if (first > R(0)) size = -size;
+      first -= size;
+      turn = R(-1) / (size * first);
+      *diagonal = size * most;
+      for (i = j + 1; i < rows; ++i) {
+        real *row = a + i * k, *entry = t + i * width + j;
+        const real move = turn * (first * *entry + dot(own, row, k));
+        *entry -= move * first;
+        for (c = 0; c < k; ++c) row[c] -= move * own[c];
+      }
     }
-    *diagonal = size;
     memset(own, 0, (size_t)k * sizeof(real));
   }
 }
