@@ -35,8 +35,8 @@ WIDTH = 116  # of a line of numbers
 
 
 def write_c(
-    path: Path, fitted: TrackerFit, gate: float | None, width: Array | None = None, *, name: str = "tracker",
-    dtype: str = "double",
+    path: Path, fitted: TrackerFit, gate: float | None, width: Array | None = None, most: Array | None = None, *,
+    name: str = "tracker", dtype: str = "double",
 ) -> Path:  # fmt: skip
     """Write a tracker as a C file, and its header beside it.
 
@@ -48,6 +48,8 @@ def write_c(
     gate : float or None
     width : array (sensors,), optional
         Factors of the gate.
+    most : array (loads,), optional
+        Largest loads that are answered.
     name : str
         Prefix of all names that other files see.
     dtype : {"double", "float"}
@@ -62,7 +64,7 @@ def write_c(
     if path.suffix.lower() in ("", ".h"):
         raise InputError("no name of a C file", where=str(path), found=repr(path.name), expected="a name like tracker.c",
                          hint="the header is written beside it, with .h")  # fmt: skip
-    texts = sources(fitted, gate, width, name=name, dtype=dtype, file=path.stem)
+    texts = sources(fitted, gate, width, most, name=name, dtype=dtype, file=path.stem)
     try:
         for target, text in zip((path.with_suffix(".h"), path), texts, strict=True):
             target.write_text(text, encoding="ascii", newline="\n")
@@ -73,8 +75,8 @@ def write_c(
 
 
 def sources(
-    fitted: TrackerFit, gate: float | None, width: Array | None = None, *, name: str = "tracker",
-    dtype: str = "double", file: str = "tracker",
+    fitted: TrackerFit, gate: float | None, width: Array | None = None, most: Array | None = None, *,
+    name: str = "tracker", dtype: str = "double", file: str = "tracker",
 ) -> tuple[str, str]:  # fmt: skip
     """Header and C99 source; parameters and refusals as those of `write_c`, `file` the name of the header."""
     if not isinstance(name, str) or not IDENTIFIER.fullmatch(name):
@@ -84,7 +86,7 @@ def sources(
     model = fitted.model
     facts = {
         "m": model.m, "p": model.p, "n": model.n, "gated": int(gate is not None), "file": _plain(file),
-        "correlated": int(model.S is not None), "TYPE": dtype.upper(), "numbers": _numbers(fitted, gate, width),
+        "correlated": int(model.S is not None), "TYPE": dtype.upper(), "numbers": _numbers(fitted, gate, width, most),
     }  # fmt: skip
     head = _comment(fitted, gate, name)
     return tuple(head + _filled(kind, facts, name) for kind in ("controller.h", "controller.c"))  # type: ignore[return-value]
@@ -118,7 +120,7 @@ def _plain(text: str) -> str:
     return re.sub(r"[^\x20-\x7e]", "?", str(text)).replace("*/", "* /").replace("/*", "/ *")
 
 
-def _numbers(f: TrackerFit, gate: float | None, width: Array | None) -> str:
+def _numbers(f: TrackerFit, gate: float | None, width: Array | None, most: Array | None) -> str:
     """Constants of the C file."""
     scale = _units(f)
     model, settled = _counted(f.model, scale), f.settled
@@ -143,10 +145,9 @@ def _numbers(f: TrackerFit, gate: float | None, width: Array | None) -> str:
         tables |= {"LOWEST": ends[:, 0], "HIGHEST": ends[:, 1]}
     if f.wider is not None:
         tables["WIDER"] = np.broadcast_to(f.wider, model.p)
-    bounds = None if f.most is None or gate is None else FAR * np.broadcast_to(f.most, model.p)
-    sizes["HAS_BOUNDS"] = int(bounds is not None and bool(np.isfinite(bounds).any()))
-    if sizes["HAS_BOUNDS"]:
-        tables["BOUND"] = np.minimum(bounds, np.finfo(np.float32).max)
+    sizes["HAS_BOUNDS"] = int(most is not None and bool(np.isfinite(most).any()))
+    if most is not None and sizes["HAS_BOUNDS"]:
+        tables["BOUND"] = np.minimum(most, np.finfo(np.float32).max)
     sizes["LOG2PI"] = float(np.log(2 * np.pi))
     defined = [f"#define {key} {value!r}" for key, value in sizes.items()]
     return "\n".join([*defined, *(_table(key, value) for key, value in tables.items()), ""])

@@ -201,8 +201,8 @@ class Tracker(Running):
         InputError
             No C identifier, another type, no name of a file, a folder that is not there.
         """
-        own = self.engine == "own"
-        return write_c(Path(path), self.fitted, self.gate if own else None, self._width(), name=name, dtype=dtype)
+        gate = self.gate if self.engine == "own" else None
+        return write_c(Path(path), self.fitted, gate, self._width(), self._bounds(), name=name, dtype=dtype)
 
     def on_filterpy(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
