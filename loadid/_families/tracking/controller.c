@@ -104,8 +104,11 @@ static void noise_root(const int *which, int k, real *root) {
 static void seen(const belief *b, int i, real *row) {
   int j, c;
   memset(row, 0, N * sizeof(real));
-  for (j = 0; j < N; ++j)
-    for (c = 0; c < N; ++c) row[c] += H[i * N + j] * b->L[j * N + c];
+  for (j = 0; j < N; ++j) {
+    const real h = H[i * N + j];
+    if (h != R(0))
+      for (c = 0; c < N; ++c) row[c] += h * b->L[j * N + c];
+  }
 }
 
 /* ---- filter ------------------------------------------------------------------------------------------------------ */
@@ -680,8 +683,11 @@ static void read_off(const belief *b, real *load, real *std) {
   for (i = 0; i < P; ++i) {
     real row[N];
     memset(row, 0, sizeof(row));
-    for (j = 0; j < N; ++j)
-      for (c = 0; c < N; ++c) row[c] += CP[i * N + j] * b->L[j * N + c];
+    for (j = 0; j < N; ++j) {
+      const real read = CP[i * N + j];
+      if (read != R(0))
+        for (c = 0; c < N; ++c) row[c] += read * b->L[j * N + c];
+    }
     load[i] = dot(CP + i * N, b->x, N);
     std[i] = SQRT(dot(row, row, N));
   }
