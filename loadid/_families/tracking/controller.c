@@ -363,7 +363,7 @@ static real most_likely(const real *toward, const real *white, int k, real *size
 static real event(tracker *t, const belief *b, const real *e, const int *wrong, wider *by, int *lost, real *size) {
   const wider none = {NOTHING, 0, R(0)};
   real T[M * M], toward[M * M], white[M], base, half = R(0), odds = R(INFINITY), least = R(INFINITY), found, c;
-  int which[M], right[M], i, j, s, k = present(e, which), rights = 0;
+  int which[M], right[M] = {0}, i, j, s, k = present(e, which), rights = 0;
   *lost = 0;
   *by = none;
   *size = R(0);

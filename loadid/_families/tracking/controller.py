@@ -95,7 +95,7 @@ def sources(
 def _filled(kind: str, facts: Mapping[str, Any], name: str) -> str:
     """A file beside this one with its numbers and names."""
     text = (files(__package__) / kind).read_text("ascii")
-    text = re.sub(r"\bLT_(?=[A-Z])", name.upper() + "_", re.sub(r"\blt_(?=[a-z])", name + "_", text))
+    text = re.sub(r"\bLT_(?=[A-Z@])", name.upper() + "_", re.sub(r"\blt_(?=[a-z])", name + "_", text))
     return re.sub(r"@(\w+)@", lambda found: str(facts[found[1]]), text)
 
 
