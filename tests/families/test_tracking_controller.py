@@ -1,10 +1,11 @@
-"""A tracker in C answers as the tracker: missing channels, gate, ranges, bounds; compiled with every warning an error."""
+"""A tracker in C answers as the tracker does; compiled with every warning an error."""
 
 from __future__ import annotations
 
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from tests.compiled import CC, STRICT, Controller, build, needs_compiler
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "controller"
 SETTLED, MISSING, OUT, EVENT, DOUBT, LOST, BELIEVED, BOUNDED = (1 << k for k in range(8))
-CLOSE = 1e-9  # of the largest load, and of the std
+CLOSE = 1e-9  # of the load, and of the std
 
 Case = tuple[tracked.Tracked, Tracker]
 
@@ -84,14 +85,23 @@ def compiled(tracker: Tracker, folder: Path, dtype: str = "double") -> Controlle
     return Controller(source, "roof", tracker.fitted.model.m, tracker.fitted.model.p, dtype)
 
 
-def agree(ours: tuple[np.ndarray, ...], theirs: tuple[np.ndarray, ...], within: float = CLOSE) -> None:
-    np.testing.assert_allclose(ours[0], theirs[0], rtol=0, atol=within * np.abs(theirs[0]).max())
+def python(tracker: Tracker, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Its loads and std, within the bounds that stand in the tracker's watch."""
+    load, std, _ = alone(tracker).run(y)
+    most = np.inf if tracker._bounds() is None else tracker._bounds()
+    wide = 1.0 if tracker.fitted.wider is None else tracker.fitted.wider
+    return np.clip(load, -most, most), np.where(np.abs(load) > most, np.maximum(std, most * wide), std)
+
+
+def agree(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], within: float = CLOSE) -> None:
+    """To a share of the load as it usually is, and of the std."""
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=0, atol=within * np.quantile(np.abs(theirs[0]), 0.9))
     np.testing.assert_allclose(ours[1], theirs[1], rtol=within)
 
 
 @pytest.fixture(scope="module")
 def roof() -> Case:
-    return building(20_000)
+    return building(10_000)
 
 
 @needs_compiler
@@ -99,9 +109,9 @@ def test_c_and_python_agree_over_missing_cells_and_spikes(roof: Case, tmp_path: 
     """5 % of the cells missing; events, doubts, a gate that fails and wrong channels: `tests.benchmarks.controller` has
     100 000 samples."""
     case, tracker = roof
-    y, python = soiled(case, 1), alone(tracker)
+    y = soiled(case, 1)
     load, std, said = compiled(tracker, tmp_path).run(y)
-    agree((load, std), python.run(y)[:2])
+    agree((load, std), python(tracker, y))
     for what in (MISSING, OUT, EVENT, DOUBT, BELIEVED):
         assert np.count_nonzero(said & what) > 5, what
     assert np.array_equal((said & MISSING) > 0, np.isnan(y).any(axis=1))
@@ -135,14 +145,13 @@ def test_the_whole_tracker_answers_so_where_its_watch_finds_nothing(roof: Case, 
 )  # fmt: skip
 def test_other_filters_agree_too(make, spikes: float, tmp_path: Path) -> None:
     case, tracker = make()
-    y, python = soiled(case, 3, spikes=spikes)[:1500], alone(tracker)
+    y = soiled(case, 3, spikes=spikes)[:1000]
     y[400:420] = np.nan
     load, std, _ = compiled(tracker, tmp_path).run(y)
-    theirs = python.run(y)[:2]
-    bound = np.inf if tracker._bounds() is None else tracker._bounds()
-    away = np.abs(theirs[0]) > bound  # which stands in the watch's part of the tracker
-    agree((load, std), (np.clip(theirs[0], -bound, bound), np.where(away, np.maximum(theirs[1], bound), theirs[1])))
-    compiled(tracker, tmp_path, "float").run(y)
+    agree((load, std), python(tracker, y))
+    single = compiled(tracker, tmp_path, "float").run(y)
+    after = slice(1, None)  # a start that may be anywhere leaves the first sample few digits
+    agree([part[after] for part in single[:2]], (load[after], std[after]), 0.05)
 
 
 @needs_compiler
@@ -179,7 +188,7 @@ def test_samples_at_the_end_of_a_range_are_missing(tmp_path: Path) -> None:
     assert high.any()
     load, std, said = compiled(tracker, tmp_path).run(case.y)
     assert np.array_equal((said & MISSING) > 0, high)
-    agree((load, std), alone(tracker).run(case.y)[:2])
+    agree((load, std), python(tracker, case.y))
 
 
 @needs_compiler
@@ -202,7 +211,7 @@ def test_a_dead_channel_and_rates_agree_with_the_gains_of_their_rhythm(roof: Cas
     y[500:1500, 1] = np.nan
     y[1700:][np.arange(1300) % 3 > 0, 0] = np.nan
     load, std, _ = compiled(tracker, tmp_path).run(y)
-    agree((load, std), alone(tracker).run(y)[:2])
+    agree((load, std), python(tracker, y))
 
 
 @needs_compiler
@@ -213,8 +222,8 @@ def test_the_object_needs_the_mathematics_alone_and_keeps_nothing(roof: Case, tm
         pytest.skip("no nm to list symbols with")
     source = roof[1].to_c(tmp_path / "t.c", "roof", dtype="float")
     made = build(source, "-O1", "-c", out=tmp_path / "t.o")
-    listed = [line.split() for line in
-              subprocess.run([nm, str(made)], check=True, capture_output=True, text=True).stdout.splitlines()]  # fmt: skip
+    said = subprocess.run([nm, str(made)], check=True, capture_output=True, text=True).stdout
+    listed = [line.split() for line in said.splitlines()]
     asked = {words[-1].lstrip("_") for words in listed if words[-2] == "U"}
     assert asked <= {"memset", "memcpy", "memmove", "stack_chk_fail", "GLOBAL_OFFSET_TABLE_", "sqrtf", "logf", "expf"}
     assert {words[-1] for words in listed if words[-2] == "T"} == {"roof_reset", "roof_step"}
@@ -237,7 +246,7 @@ def test_the_example_of_cmake_builds_and_runs(roof: Case, tmp_path: Path, kind: 
     text = "\n".join(",".join(map(repr, row)) for row in y.tolist())
     answer = subprocess.run([str(tmp_path / "b" / "loads")], input=text, capture_output=True, text=True, check=True)
     found = np.array([line.split(",") for line in answer.stdout.splitlines()], float)
-    agree((found[:, :1], found[:, 1:2]), alone(tracker).run(y)[:2], CLOSE if kind == "DOUBLE" else 1e-3)
+    agree((found[:, :1], found[:, 1:2]), python(tracker, y), CLOSE if kind == "DOUBLE" else 1e-3)
 
 
 BOARD = """
@@ -259,7 +268,11 @@ def test_the_sketch_for_a_board_builds(roof: Case, tmp_path: Path) -> None:
         pytest.skip("no C++ compiler on this machine")
     source = roof[1].to_c(tmp_path / "wind.c", name="wind", dtype="float")
     build(source, "-c", out=tmp_path / "wind.o")
-    sketch = BOARD + (EXAMPLE / "controller.ino").read_text() + "int main() { setup(); for (int i = 0; i < 50; ++i) loop(); }"
+    sketch = (
+        BOARD
+        + (EXAMPLE / "controller.ino").read_text()
+        + "int main() { setup(); for (int i = 0; i < 50; ++i) loop(); }"
+    )
     (tmp_path / "sketch.cpp").write_text(sketch)
     made = subprocess.run(
         [cxx, "-std=c++11", "-Wall", "-Wextra", "-Werror", "-o", str(tmp_path / "sketch"), str(tmp_path / "sketch.cpp"),
@@ -271,7 +284,9 @@ def test_the_sketch_for_a_board_builds(roof: Case, tmp_path: Path) -> None:
 
 def test_the_files_say_what_goes_in_and_out_and_what_they_do_not(roof: Case, tmp_path: Path) -> None:
     tracker = roof[1]
-    named = [replace(c, label=label) for c, label in zip(tracker.fitted.sensors, ("a3", "a6", "d10 */ µ", "x"), strict=True)]
+    named = [
+        replace(c, label=label) for c, label in zip(tracker.fitted.sensors, ("a3", "a6", "d10 */ µ", "x"), strict=True)
+    ]
     other = Tracker(replace(tracker.fitted, sensors=tuple(named)), tracker.gate)
     for text in (path.read_text("ascii") for path in (other.to_c(tmp_path / "t.c"), tmp_path / "t.h")):
         head = text[: text.index("*/")]

@@ -38,10 +38,16 @@ enum { N = LT_STATES, M = LT_SENSORS, P = LT_LOADS };
 enum { START, MOVING, STEADY };
 
 static real dot(const real *a, const real *b, int n) {
-  real sum = R(0);
+  real sum = R(0), second = R(0), third = R(0), fourth = R(0); /* four sums at a time: none waits for the one before */
   int i;
-  for (i = 0; i < n; ++i) sum += a[i] * b[i];
-  return sum;
+  for (i = 0; i + 3 < n; i += 4) {
+    sum += a[i] * b[i];
+    second += a[i + 1] * b[i + 1];
+    third += a[i + 2] * b[i + 2];
+    fourth += a[i + 3] * b[i + 3];
+  }
+  for (; i < n; ++i) sum += a[i] * b[i];
+  return (sum + second) + (third + fourth);
 }
 
 /* Fold the columns of a (rows, k) into t (rows, width) by Householder reflections, so that the first count rows of t
@@ -434,7 +440,6 @@ static int held(tracker *t, const real *y, const int *beyond, int *out) {
     memset(out, 0, sizeof(t->wrong));
     return 1;
   }
-  if (outs) t->status |= LT_OUT;
   return 0;
 }
 
@@ -803,7 +808,9 @@ unsigned lt_step(tracker *t, const real given[LT_SENSORS], real load[LT_LOADS], 
     for (i = 0; i < M; ++i) t->innovation[i] = y[i] - dot(H + i * N, t->state.x, N);
 #if LT_GATED
     judge(t, y);
-    if (t->paired) t->status |= LT_DOUBT | (t->believing ? LT_EVENT : LT_OUT);
+    if (t->paired) t->status |= t->believing ? LT_DOUBT | LT_EVENT : LT_DOUBT;
+    for (i = 0; i < M; ++i)
+      if (isfinite(y[i]) && !isfinite(t->taken[i])) t->status |= LT_OUT;
 #else
     memcpy(t->taken, y, sizeof(y));
     update(t, &t->state, y);

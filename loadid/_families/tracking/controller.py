@@ -62,7 +62,7 @@ def write_c(
     """
     path = Path(path)
     if path.suffix.lower() in ("", ".h"):
-        raise InputError("no name of a C file", where=str(path), found=repr(path.name), expected="a name like tracker.c",
+        raise InputError("no name of a C file", where=str(path), found=repr(path.name), expected="one like tracker.c",
                          hint="the header is written beside it, with .h")  # fmt: skip
     texts = sources(fitted, gate, width, most, name=name, dtype=dtype, file=path.stem)
     try:
@@ -108,7 +108,7 @@ def _comment(f: TrackerFit, gate: float | None, name: str) -> str:
         *(f"load[{i}]: {c.label}, {c.unit}" for i, c in enumerate(f.loads)),
         "NaN marks a missing channel: the others are used, and the std is that of what was used.",
         "No gate: every finite number is believed." if gate is None else
-        f"A channel beyond {gate:g} std is wrong, or an event of the load: the likelier one, until later samples decide.",
+        f"A channel beyond {gate:g} std is wrong, or an event of the load: the likelier, until later samples decide.",
         "Not here: the watch over the sensors, late answers, and late samples put in their place.",
         *(["The std does not hold the errors of the model that were declared."] if f.bank else []),
         "No heap, no files, no static variables; of libraries only math.h. Not with -ffast-math.",
