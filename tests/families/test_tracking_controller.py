@@ -101,7 +101,7 @@ def agree(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], within: floa
 
 @pytest.fixture(scope="module")
 def roof() -> Case:
-    return building(10_000)
+    return building(6000)
 
 
 @needs_compiler
@@ -113,7 +113,7 @@ def test_c_and_python_agree_over_missing_cells_and_spikes(roof: Case, tmp_path: 
     load, std, said = compiled(tracker, tmp_path).run(y)
     agree((load, std), python(tracker, y))
     for what in (MISSING, OUT, EVENT, DOUBT, BELIEVED):
-        assert np.count_nonzero(said & what) > 5, what
+        assert np.count_nonzero(said & what) > 3, what
     assert np.array_equal((said & MISSING) > 0, np.isnan(y).any(axis=1))
     single = compiled(tracker, tmp_path, "float").run(y)
     agree(single, (load, std), 2e-3)
