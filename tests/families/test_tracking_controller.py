@@ -123,13 +123,13 @@ def test_c_and_python_agree_over_missing_cells_and_spikes(roof: Case, tmp_path: 
 @needs_compiler
 def test_the_whole_tracker_answers_so_where_its_watch_finds_nothing(roof: Case, tmp_path: Path) -> None:
     case, tracker = roof
-    y = soiled(case, 2, 0.002, 0.0)[:6000]
-    y[1000, 2] += 1e3 * case.noise[2]
+    y = case.y[:3000].copy()
+    y[1000, 0] += 1e3 * case.noise[0]
+    y[1500] = np.nan
     y[2000:2300, 1] = np.nan
-    y[3000:, :] += 30.0 * case.noise  # a step that no load explains
     tracker.reset()
-    load, std, said = compiled(tracker, tmp_path).run(y[:3000])
-    agree((load, std), tracker.run(y[:3000])[:2])
+    load, std, said = compiled(tracker, tmp_path).run(y)
+    agree((load, std), tracker.run(y)[:2])
     assert not tracker.faults
     assert np.count_nonzero(said & SETTLED) > 1500
     assert np.all(std[(said & SETTLED) > 0] == tracker.fitted.settled.std)
@@ -231,14 +231,14 @@ def test_the_object_needs_the_mathematics_alone_and_keeps_nothing(roof: Case, tm
 
 
 @needs_compiler
-@pytest.mark.parametrize("kind", ["DOUBLE", "FLOAT"])
-def test_the_example_of_cmake_builds_and_runs(roof: Case, tmp_path: Path, kind: str) -> None:
+def test_the_example_of_cmake_builds_and_runs(roof: Case, tmp_path: Path) -> None:
+    """In double, though it was written for single precision."""
     cmake = shutil.which("cmake")
     if cmake is None:
         pytest.skip("no cmake on this machine")
     case, tracker = roof
-    source, y = tracker.to_c(tmp_path / "wind.c", name="wind"), soiled(case, 6)[:300]
-    for words in (["-S", str(EXAMPLE), "-B", str(tmp_path / "b"), f"-DWIND={source}", f"-DWIND_TYPE={kind}"],
+    source, y = tracker.to_c(tmp_path / "wind.c", name="wind", dtype="float"), soiled(case, 6)[:300]
+    for words in (["-S", str(EXAMPLE), "-B", str(tmp_path / "b"), f"-DWIND={source}", "-DWIND_TYPE=DOUBLE"],
                   ["--build", str(tmp_path / "b")]):  # fmt: skip
         made = subprocess.run([cmake, *words], capture_output=True, text=True)
         assert made.returncode == 0, made.stdout + made.stderr
@@ -246,7 +246,7 @@ def test_the_example_of_cmake_builds_and_runs(roof: Case, tmp_path: Path, kind: 
     text = "\n".join(",".join(map(repr, row)) for row in y.tolist())
     answer = subprocess.run([str(tmp_path / "b" / "loads")], input=text, capture_output=True, text=True, check=True)
     found = np.array([line.split(",") for line in answer.stdout.splitlines()], float)
-    agree((found[:, :1], found[:, 1:2]), python(tracker, y), CLOSE if kind == "DOUBLE" else 1e-3)
+    agree((found[:, :1], found[:, 1:2]), python(tracker, y))
 
 
 BOARD = """
