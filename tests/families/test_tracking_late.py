@@ -139,13 +139,6 @@ def test_filterpy_runs_the_same_filter(case: tracked.Tracked) -> None:
     assert found.to_filterpy().dim_x == found.fitted.model.n
 
 
-def test_the_settled_filter_as_a_c_file(case: tracked.Tracked, tmp_path) -> None:
-    path = tracker(case).to_c(tmp_path / "roof.c", "roof")
-    source = path.read_text()
-    assert "roof_step" in source
-    assert "p0" in source
-
-
 def test_ambient_loads_that_disturb_both_noises_leave_an_honest_band() -> None:
     """A beam of 8 modes whose error exceeds its load: the predicted std is the empirical one."""
     from loadid import Ambient

@@ -304,6 +304,10 @@ class Running:
         load, std = np.where(away, np.clip(load, -most, most), load), np.where(away, np.maximum(std, most), std)
         return load, std, np.where(away.any(axis=1, keepdims=True) & ~wrong, (HUGE, 0), alarms)
 
+    def _bounds(self) -> Array | None:
+        """Largest loads (loads,) of a sample without an alarm; None where there is no watch."""
+        return None if self._watch is None else FAR / FARTHEST * self._limit
+
     def _settled(self, watch: Watch) -> None:
         """Go on from the state that the watch knows, where it takes a channel out."""
         if watch.settling:

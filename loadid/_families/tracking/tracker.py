@@ -16,12 +16,13 @@ from structures._flags import Flag
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from ..._inverse.gaussian.exports import FilterpyEngine, to_filterpy, write_c
+from ..._inverse.gaussian.exports import FilterpyEngine, to_filterpy
 from ..._inverse.gaussian.records import filter_record, smooth_record
 from ..._results.estimate import LoadEstimate
 from . import fit as recipe
 from . import samples as blocks
 from .certificate import TrackCertificate
+from .controller import write_c
 from .fit import TrackerFit, pack, unpack
 from .running import Running
 from .samples import Replay, inside
@@ -174,26 +175,34 @@ class Tracker(Running):
         """
         return to_filterpy(self.fitted.model)
 
-    def to_c(self, path: str | os.PathLike[str], name: str = "tracker") -> Path:
-        """Write the settled filter as one C99 file without dependencies, for a microcontroller.
+    def to_c(self, path: str | os.PathLike[str], name: str = "tracker", dtype: str = "double") -> Path:
+        """Write the tracker as a C99 file with its header, for a controller: no heap, no files, no static variables.
+
+        The C answers as `step` of a tracker that has just been fitted, from rest: missing channels, the gate, ends of
+        range and bounds of the loads. It has no watch over the sensors, answers at once, and its std does not hold
+        declared errors of the model.
 
         Parameters
         ----------
         path : path
+            Of the C file, like ``roof.c``; ``roof.h`` is written beside it.
         name : str
-            Prefix of its functions: ``NAME_reset``, ``NAME_step``, ``NAME_std``.
+            Prefix of what others see: type ``NAME_tracker``, functions ``NAME_reset`` and ``NAME_step``.
+        dtype : {"double", "float"}
+            Type of its numbers, where neither ``NAME_DOUBLE`` nor ``NAME_FLOAT`` is defined.
+
+        Returns
+        -------
+        Path
+            Of the C file.
 
         Raises
         ------
         InputError
-            A tracker without a settled gain, no C identifier, a folder that is not there.
+            No C identifier, another type, no name of a file, a folder that is not there.
         """
-        f = self.fitted
-        if f.settled is None:
-            raise InputError("a filter that never settles has no constant gain", where="to_c", found="an allowed drift",
-                             expected="a settled gain", hint="add a sensor that sees a constant load")  # fmt: skip
-        labels = {"sensors": [c.label for c in f.sensors], "loads": [c.label for c in f.loads]}
-        return write_c(Path(path), f.settled, name=name, dt=f.dt, **labels)
+        gate = self.gate if self.engine == "own" else None
+        return write_c(Path(path), self.fitted, gate, self._width(), self._bounds(), name=name, dtype=dtype)
 
     def on_filterpy(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
