@@ -37,6 +37,7 @@ from .filters import restricted
 
 HOP, LIFT = 20, 5  # samples that are judged at once, and that are one product
 LARGER = 30.0  # times the std of the loads, of those that the fit did not know
+SLIGHT, LASTS = 2.0, 10  # squares that missing cells may leave in later ones unnoticed; hops that are looked at
 LARGEST = 1e6  # entries of all lifted filters, beyond which nothing is watched
 Bits = NDArray[np.bool_]
 
@@ -108,6 +109,22 @@ class Lifted:
         return int(self.groups[i + 1, 0])
 
     @cached_property
+    def left(self) -> tuple[Array, NDArray[np.int_]]:
+        """What a missing cell of each channel (m,) leaves in the squares of later innovations, and for how many hops.
+
+        Gains that are settled take the state for as well known as ever. Of the filter that it harms most, until less
+        than `SLIGHT` is left.
+        """
+        size = np.linalg.norm(self.W, axis=1)  # of a channel, by the others: 1 / std (filters, m)
+        state = self.B / np.where(size > 0, size, np.inf)[:, None]
+        sums = np.zeros((LASTS, *size.shape))
+        for k in range(LASTS * HOP):
+            sums[k // HOP] += np.sum(np.matmul(self.W @ self.H, state) ** 2, axis=1)
+            state = np.matmul(self.A, state)
+        rest = np.cumsum(sums[::-1], axis=0)[::-1].max(axis=1)  # from each hop on, (LASTS, m)
+        return rest[0], np.sum(rest > SLIGHT, axis=0)
+
+    @cached_property
     def whole(self) -> Lifted:
         """Those with all channels."""
         rows = np.flatnonzero(self.out < 0)
@@ -131,25 +148,40 @@ class Lifted:
                 both = np.matmul(self.M, v)[:, :, 0]
                 z[:, t : t + LIFT], x = both[:, : LIFT * m].reshape(q, LIFT, m), both[:, LIFT * m :]
             return z, x
-        for t, y in enumerate(Y):  # a channel that is missing is as it is predicted
+        for t, y in enumerate(Y):
             ahead = x @ self.H.T
-            taken = np.where(np.isfinite(y), y, ahead)
-            z[:, t] = np.matmul(self.W, (taken - ahead)[:, :, None])[:, :, 0]
-            x = np.matmul(self.A, x[:, :, None])[:, :, 0] + np.matmul(self.B, taken[:, :, None])[:, :, 0]
+            news = _completed(y - ahead, self.W)
+            z[:, t] = np.matmul(self.W, news[:, :, None])[:, :, 0]
+            x = np.matmul(self.A, x[:, :, None])[:, :, 0] + np.matmul(self.B, (ahead + news)[:, :, None])[:, :, 0]
         return z, x
 
     def mixed(self, rows: NDArray[np.int_], weights: Array, x: Array, Y: Array) -> tuple[Array, Array, Array]:
         """Loads and std (samples, p) of samples, any of some filters being right, and their predictions (rows, n)."""
         load, std = np.empty((len(Y), len(self.Cp))), np.empty((len(Y), len(self.Cp)))
-        A, B, G, own = self.A[rows], self.B[rows], self.G[rows], weights @ self.std[rows] ** 2
+        A, B, G, W, own = self.A[rows], self.B[rows], self.G[rows], self.W[rows], weights @ self.std[rows] ** 2
         for t, y in enumerate(Y):
             ahead = x @ self.H.T
-            taken = np.where(np.isfinite(y), y, ahead)
-            each = x @ self.Cp.T + np.matmul(G, (taken - ahead)[:, :, None])[:, :, 0]
+            news = _completed(y - ahead, W)
+            each = x @ self.Cp.T + np.matmul(G, news[:, :, None])[:, :, 0]
             load[t] = weights @ each
             std[t] = np.sqrt(own + weights @ (each - load[t]) ** 2)
-            x = np.matmul(A, x[:, :, None])[:, :, 0] + np.matmul(B, taken[:, :, None])[:, :, 0]
+            x = np.matmul(A, x[:, :, None])[:, :, 0] + np.matmul(B, (ahead + news)[:, :, None])[:, :, 0]
         return load, std, x
+
+
+def _completed(news: Array, W: Array) -> Array:
+    """Innovations (filters, m), those of missing channels as the others tell: the gains take no more than is there.
+
+    That is the mean of the missing ones given the others: the one of least ``|W news|``.
+    """
+    gone = ~np.isfinite(news[0])
+    if not gone.any():
+        return news
+    news = np.where(gone, 0.0, news)
+    missing, told = W[:, :, gone], np.matmul(W, news[:, :, None])
+    Q, R = np.linalg.qr(missing)
+    news[:, gone] = -np.linalg.solve(R, np.matmul(np.swapaxes(Q, 1, 2), told))[:, :, 0]
+    return news
 
 
 def lifted(model: FilterModel, there: Bits) -> Lifted | None:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
-from .bank import CHUNK, HOP, REST, SHARE, WINDOWS, Bits, Lifted, Standby, bounds, lifted_of
+from .bank import CHUNK, HOP, REST, SHARE, SLIGHT, WINDOWS, Bits, Lifted, Standby, bounds, lifted_of
 
 KEPT = 16  # hops behind the present one at which channels may have been swapped
 SURE = 80.0  # -2 log of the likelihood ratio, at least
@@ -105,8 +105,7 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
             first = k + 1 + skipped
             continue
         light.look(start.x[0], hop)
-        start.judge(hop)
-        if k >= first:
+        if start.judge(hop) and k >= first:
             sums.append((start.squares[-1].copy(), start.counts[-1].copy(), start.apart[-1].copy()))
             if len(light.found) and light.found.max() < TOP:
                 seen.append(light.found[0])
@@ -181,6 +180,7 @@ class Watch:
         self._hops = np.array(WINDOWS)
         self._take(bank)
         self.light = None if usual.calm is None else Standby(bank, model.LQ, usual.calm, SHARE * FARTHEST * self.most)
+        self.blind = 0  # hops that tell nothing, as cells are missing
         self.asleep, self.calm = False, 0  # hops in a row in which there is nothing to look at
         self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
@@ -332,14 +332,14 @@ class Watch:
         """Judge a hop, but for those in which a channel is missing, and for some after them."""
         if self._other():
             return
-        self.judge(self.buffer)
+        told = self.judge(self.buffer)
         if self.early:
             self.early, strange, doubted = self.early - 1, self.strange, self.doubted
             self._forget()
             self.strange = strange  # its alarm stands meanwhile
             self._doubt(doubted[1:], bool(doubted[0]))
             self.settling = self.early == 0
-        else:
+        elif told:
             self.decide()
 
     def start(self, ahead: Array) -> None:
@@ -380,17 +380,31 @@ class Watch:
         return True
 
     # -- hops -------------------------------------------------------------------------------------------------------
-    def judge(self, Y: Array) -> None:
-        """What the filters say of a hop."""
+    def judge(self, Y: Array) -> bool:
+        """What the filters say of a hop; nothing, and False, where or since cells are missing that they need."""
         Y = Y[:, self.order]
         self.past = np.concatenate([self.past[-KEPT:], Y[None]])
         self.before = np.concatenate([self.before[-KEPT:], self.x[:1]])
+        blind = self._blinded(Y)
         Y, z, self.x = self._without_spikes(Y)
+        if not np.isfinite(self.x).all():
+            self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
+        if blind:
+            return False
         self.keep(*self.said(z, Y, self.bank.out))
         size = self.x[np.minimum(self.bank.hypotheses, len(self.x) - 1)] @ self.bank.Cp.T / self.most
         self.reached = np.concatenate([self.reached[1 - REACHED :], np.sum(size**2, axis=1)[None]])
-        if not np.isfinite(self.x).all():
-            self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
+        return True
+
+    def _blinded(self, Y: Array) -> bool:
+        """Whether this hop or one before lacks cells that leave more than chance in the innovations of this one."""
+        gone = np.isnan(Y).sum(axis=0) * self.bank.there
+        if gone.any():
+            harm, hops = self.bank.left
+            if gone @ harm > SLIGHT:
+                self.blind = max(self.blind, 1 + int(hops[gone > 0].max()))
+        blind, self.blind = self.blind > 0, max(self.blind - 1, 0)
+        return blind
 
     def _without_spikes(self, Y: Array) -> tuple[Array, Array, Array]:
         """A hop without the few samples that alone make it loud, what the filters make of it, and their predictions.
@@ -670,4 +684,5 @@ ARRAYS = (
     "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either", "weights",
     "reached",
 )  # fmt: skip
-NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked", "calm", "asleep")
+NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked", "calm", "asleep",
+           "blind")  # fmt: skip
