@@ -216,7 +216,7 @@ def test_a_sleeper_is_woken_by_what_is_no_number():
 
 
 def test_missing_cells_name_nobody() -> None:
-    """A missing cell of the accelerometer beside the load leaves the state less known than settled gains take it for."""
+    """A missing cell of the accelerometer beside the load leaves the state less known than settled gains take it."""
     case = tracked.bm2("matern", 0, samples=2500)
     known = {"prior": Matern32(100.0, 0.08), "noise": Noise(case.noise, source="data sheet")}
     tracker = LoadTracker(case.setup.space(), **known).fit(case.y[:1500], case.dt)
