@@ -42,14 +42,16 @@ def _run(args: Namespace) -> int:
         listed = records.manifest(asked)
         run = Run(asked, listed, crew, ledger, bar)
         try:
-            run.go(most=2)  # a worker that has loaded and compiled tells the rate
+            run.go(most=1)
+            run.go(most=1)  # by the same worker, which has loaded and compiled
             left = seconds_left(run, run.times)
             said = _cost(run, left)
             if not args.json:
                 print(said, flush=True)
             if args.estimate:
-                emit(args, {"seconds": left, "workers": crew.size, "records": len(listed.entries),
-                            "bytes": run.total, "bytes_left": run.left}, "")  # fmt: skip
+                if args.json:
+                    emit(args, {"seconds": left, "workers": crew.size, "records": len(listed.entries),
+                                "bytes": run.total, "bytes_left": run.left}, said)  # fmt: skip
                 return 0
             run.go()
         finally:
