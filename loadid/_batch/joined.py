@@ -32,7 +32,7 @@ from ..settings import Lambda, Noise, Penalty
 Array = NDArray[np.float64]
 
 FORGOTTEN = 1e-12  # of what stood at the end of a piece
-SLOWEST = 2_000_000  # samples of overlap beyond which a record stays whole
+NEVER = 1 << 40  # samples of overlap: more than any record has, which therefore stays whole
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,9 @@ def settle(record: Record, model: Model, job: Mapping[str, Any], piece: int) -> 
     offsets = tuple(taken) or (0.0,) * len(data.rows)
     first, last = loudest(data.values - np.array(offsets), piece)
     window = replace(record, values=record.values[first:last] - np.array(offsets))
-    asked = {**job, "variance": "constant", "path": "statespace"}
+    asked = {**job, "path": "statespace"}
+    if job.get("penalty") in (None, "identity") and not job.get("leak"):
+        asked["variance"] = "constant"  # other penalties know no other
     if first:
         asked["initial"] = "unknown"
     estimate = identify(window, model, **asked)
@@ -109,25 +111,16 @@ def loudest(values: Array, piece: int) -> tuple[int, int]:
 
 
 def overlap(problem: Posed, lam: float) -> int:
-    """Samples after which a piece has forgotten how it began.
-
-    Raises
-    ------
-    InputError
-        A record whose closed loop forgets nothing.
-    """
+    """Samples after which a piece has forgotten how it began; `NEVER` where its closed loop forgets nothing."""
     record = problem.record
     assert record is not None
     kind = int(np.argmax(np.abs(record.C).sum(axis=(1, 2))))
     settled = gains(replace(record, kind=np.full(len(record.kind), kind, np.int32), y=np.zeros_like(record.y)), lam)
     closed = record.F[kind] - record.G[kind] @ settled.K[settled.which[0]]
     radius = float(np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0))
-    count = math.log(FORGOTTEN) / math.log(radius) if 0 < radius < 1 else (1.0 if radius == 0 else math.inf)
-    if count > SLOWEST:
-        raise InputError("pieces of this record would have to overlap for ever", where="piece",
-                         found=f"largest eigenvalue of the closed loop {radius:.9f}", expected="less than 1",
-                         hint="a larger piece takes the record whole; a leaky difference forgets")  # fmt: skip
-    return math.ceil(count)
+    if not radius < 1:
+        return NEVER
+    return 1 if radius == 0 else min(math.ceil(math.log(FORGOTTEN) / math.log(radius)), NEVER)
 
 
 def posed(record: Record, model: Model, job: Mapping[str, Any], found: Settled, initial: Any) -> Posed:

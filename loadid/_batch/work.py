@@ -79,7 +79,7 @@ def _record(chunk: Chunk, order: Order) -> dict[str, Any]:
 
     record, model = _read(chunk.record, order), _model(order)
     known = {"samples": len(record), "dt": record.dt, "sensors": _health(record)}
-    if len(record) > 1.5 * order.piece and joined.divisible(model, order.job, record.dt):
+    if len(record) >= 1.5 * order.piece and joined.divisible(model, order.job, record.dt):
         settled, estimate = joined.settle(record, model, order.job, order.piece)
         if 2 * settled.overlap < order.piece:
             _put_array(scratch_of(order.folder, chunk.key), record.values)
