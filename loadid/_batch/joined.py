@@ -31,7 +31,7 @@ from ..settings import Lambda, Noise, Penalty
 
 Array = NDArray[np.float64]
 
-FORGOTTEN = 1e-12  # of what stood at the end of a piece
+FORGOTTEN = 1e-11  # of what stood at the end of a piece
 NEVER = 1 << 40  # samples of overlap: more than any record has, which therefore stays whole
 
 

@@ -172,6 +172,7 @@ def read(path: str | os.PathLike[str], **changes: Any) -> Plan:
     every = said.table(tree, "every")
     said.known(every, "asset", "[every]")
     common = said.table(tree, "reading")
+    said.reading(common, "[reading]")
     listed = tree.get("asset", [])
     if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
         raise InputError("the plan names no asset", where=str(path), found=type(listed).__name__,

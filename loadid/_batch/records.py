@@ -268,52 +268,45 @@ def read_record(path: str, reading: Mapping[str, Any]) -> Record:
 
 
 def _parquet(path: str, reading: Mapping[str, Any]) -> Record:
-    """Columns of a Parquet file as channels; a column of times, if there is one, tells the step."""
-    from .._record import Record
+    """Columns of a Parquet file as channels, settled as those of any other table; stamps are a column of time."""
+    from .._readers.settle import settle
+    from .._readers.source import Options, Source, Table
 
     try:
-        import pyarrow
+        import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
         raise InputError("Parquet files are read by a package that is not installed", where=path, found="no pyarrow",
                          expected="pyarrow", hint="pip install 'loadid[cluster]'") from None  # fmt: skip
+    source = Source(Path(path), os.stat(path).st_size, b"")
     try:
         with parquet.ParquetFile(path) as file:
-            table = file.read(columns=None)
-    except (pyarrow.ArrowException, OSError) as error:
+            source.allow(8 * file.metadata.num_rows * file.metadata.num_columns)
+            table = file.read()
+        kept = [f.name for f in table.schema if _is_number(f.type) or pa.types.is_temporal(f.type)]
+        values = np.stack([_seconds(table[name]) for name in kept], axis=1) if kept else np.zeros((0, 0))
+    except (pa.ArrowException, OSError) as error:
         raise InputError("no Parquet file, or a damaged one", where=path, found=str(error)[:200],
                          hint="write it again from its source") from None  # fmt: skip
-    stamps = [f.name for f in table.schema if pyarrow.types.is_temporal(f.type) or f.name.lower() in ("time", "t")]
-    given = reading.get("columns")
-    names = [f.name for f in table.schema if f.name not in stamps] if given is None else [str(c) for c in given]
-    lost = [name for name in names if name not in table.column_names]
-    if lost:
-        raise InputError("there is no such column", where=path, found=", ".join(table.column_names),
-                         expected=", ".join(lost), hint="mend columns in the plan")  # fmt: skip
-    try:
-        values = np.stack([table[name].cast("float64").to_numpy() for name in names], axis=1)
-    except pyarrow.ArrowException as error:
-        raise InputError("a column holds no numbers", where=path, found=str(error)[:200],
-                         hint="name the channels with columns") from None  # fmt: skip
-    step = 1 / reading["fs"] if "fs" in reading else _step(path, table, stamps)
-    record = Record(values, step, names, name=Path(path).stem, source=path)
-    return record.apply_units(reading["units"]) if reading.get("units") else record
+    if not values.size:
+        source.refuse("the file holds no numbers", ", ".join(table.column_names)[:200], "columns of numbers")
+    stamps = [k for k, name in enumerate(kept) if pa.types.is_temporal(table.schema.field(name).type)]
+    made = Table(values, Path(path).stem, tuple(kept), time=stamps[0] if stamps else None)
+    given = {name: reading[name] for name in ("fs", "columns", "units") if reading.get(name) is not None}
+    return settle(made, source, Options(**given))
 
 
-def _step(path: str, table: Any, stamps: list[str]) -> float:
-    if not stamps or len(table) < 2:
-        raise InputError("no column tells the step", where=path, found=", ".join(table.column_names),
-                         expected="a column of times, or fs", hint="state fs in [reading]")  # fmt: skip
-    import pyarrow
+def _is_number(kind: Any) -> bool:
+    import pyarrow.types as types
 
-    column = table[stamps[0]]
-    temporal = pyarrow.types.is_temporal(column.type)
-    times = (column.cast("timestamp[ns]").cast("int64") if temporal else column.cast("float64")).to_numpy()
-    seconds = (times - times[0]).astype(float) * (1e-9 if temporal else 1.0)
-    steps = np.diff(seconds)
-    step = float(np.median(steps))
-    if not step > 0 or np.any(np.abs(steps - step) > 0.5 * step):
-        raise InputError("the times are no even steps", where=f"{path}, column {stamps[0]}",
-                         found=f"steps of {steps.min():.6g} to {steps.max():.6g} s", expected="one step throughout",
-                         hint="fill the gaps with NaN, or write a file for each stretch")  # fmt: skip
-    return float(seconds[-1] / (len(seconds) - 1))
+    return bool(types.is_integer(kind) or types.is_floating(kind))
+
+
+def _seconds(column: Any) -> Any:
+    """A column as float64, NaN where nothing is; stamps in s after the first."""
+    import pyarrow.types as types
+
+    if not types.is_temporal(column.type):
+        return column.cast("float64").to_numpy()
+    stamps = column.cast("timestamp[ns]").cast("int64").to_numpy()
+    return (stamps - stamps[0]) * 1e-9

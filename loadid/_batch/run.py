@@ -31,7 +31,7 @@ from .work import Done, scratch_of, work
 
 log = logging.getLogger(__name__)
 
-WATCH = 2.0  # s between two looks of a worker at whether its parent is there
+WATCH = 1.0  # s between two looks of a worker at whether its parent is there
 ONE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")  # of a worker
 
 

@@ -13,7 +13,7 @@ from structures import ForwardModel, beams, damping, loads, sensors
 from tests.halfsine import pulses, respond, system
 
 SAMPLES, PIECE = 24_000, 8000
-JOB = {"family": "deconvolution", "choice": 0.05}
+JOB = {"family": "deconvolution", "choice": 0.01}
 
 
 def hits(gaps: float = 0.0, seed: int = 0) -> np.ndarray:
