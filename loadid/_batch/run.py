@@ -15,7 +15,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -260,6 +260,8 @@ class Run:
         self._todo: deque[Chunk] = deque()
         self._busy: dict[Future[Done], Chunk] = {}
         self._tries: dict[str, int] = {}
+        self._seen: set[str] = set()
+        self._rated = False  # whether a worker has done its second chunk
         self._open: dict[str, int] = {}  # key of a long record -> pieces that are not there yet
         self.total = sum(entry.chunk.size for entry in self.manifest.entries)
         self.ready = 0
@@ -276,8 +278,14 @@ class Run:
         """Chunks that are known and not given out."""
         return len(self._todo)
 
-    def go(self, most: int | None = None) -> None:
-        """Work until every part is there, or until so many chunks more are done."""
+    def go(self, most: int | None = None, known: Callable[[], None] | None = None) -> None:
+        """Work until every part is there, or until so many chunks more are done.
+
+        Parameters
+        ----------
+        known : callable, optional
+            Called once, as soon as a worker that has loaded and compiled tells what the rest will cost; nobody waits.
+        """
         given = 0
         while self._busy or (self._todo and (most is None or given < most)):
             while self._todo and len(self._busy) < self.crew.room and (most is None or given < most):
@@ -286,6 +294,9 @@ class Run:
                 given += 1
             for future in wait(self._busy, return_when=FIRST_COMPLETED).done:
                 self._ended(self._busy.pop(future), future)
+            if known is not None and self._rated:
+                known()
+                known = None
             self.progress(self.ready / max(self.total, 1), f"{self.ready / 1e6:.0f} of {self.total / 1e6:.0f} MB")
 
     def _take(self, chunk: Chunk, first: bool = False) -> None:
@@ -338,6 +349,8 @@ class Run:
             done = future.result()
             self.ledger.add(chunk, "done", attempt=tries, seconds=round(done.seconds, 4), worker=done.worker)
             self.times.append((chunk, done.seconds))
+            self._rated |= done.worker in self._seen
+            self._seen.add(done.worker)
             self._done(chunk, done.pieces)
 
     def _fail(self, chunk: Chunk, said: str) -> None:
@@ -365,15 +378,9 @@ def _names(folder: Path) -> Iterator[str]:
                 yield from (name for name in os.listdir(shelf.path) if name.endswith(".json") and name[0] != ".")
 
 
-def seconds_left(run: Run, times: Iterable[tuple[Chunk, float]]) -> float:
-    """What is left would take so long, by chunks that were done: seconds for a byte, those of the last of each kind.
-
-    The first chunk of a worker compiles and loads; it counts only where it is the only one.
-    """
+def seconds_left(run: Run) -> float:
+    """What is left would take so long, by the last chunk of each kind that was done: seconds for a byte of its record."""
     latest: dict[bool, tuple[float, int]] = {}
-    for chunk, seconds in times:
+    for chunk, seconds in run.times:
         latest[bool(chunk.parent)] = (seconds, chunk.size)
-    rate = 0.0
-    for seconds, size in latest.values():
-        rate += seconds / max(size, 1)
-    return rate * run.left / run.crew.size
+    return sum(seconds / max(size, 1) for seconds, size in latest.values()) * run.left / run.crew.size

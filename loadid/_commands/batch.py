@@ -27,7 +27,7 @@ def _configure(parser: ArgumentParser) -> None:
 
 def _run(args: Namespace) -> int:
     from .._batch import page, plan, records, results
-    from .._batch.run import Cluster, Ledger, Processes, Run, seconds_left
+    from .._batch.run import Cluster, Ledger, Processes, Run
 
     asked = plan.read(args.plan, workers=args.workers)
     results.known_loads(asked)
@@ -42,18 +42,12 @@ def _run(args: Namespace) -> int:
         listed = records.manifest(asked)
         run = Run(asked, listed, crew, ledger, bar)
         try:
-            run.go(most=1)
-            run.go(most=1)  # by the same worker, which has loaded and compiled
-            left = seconds_left(run, run.times)
-            said = _cost(run, left)
-            if not args.json:
-                print(said, flush=True)
             if args.estimate:
-                if args.json:
-                    emit(args, {"seconds": left, "workers": crew.size, "records": len(listed.entries),
-                                "bytes": run.total, "bytes_left": run.left}, said)  # fmt: skip
+                run.go(most=1)
+                run.go(most=1)  # by the same worker, which has loaded and compiled
+                emit(args, _cost(run), _said_cost(run))
                 return 0
-            run.go()
+            run.go(known=None if args.json else lambda: print(_said_cost(run), flush=True))
         finally:
             run.close()
     found = results.gathered(asked, listed, run.failed)
@@ -65,12 +59,22 @@ def _run(args: Namespace) -> int:
     return 0 if answer["done"] == answer["records"] else 3
 
 
-def _cost(run: Run, left: float) -> str:
-    done = [seconds for _, seconds in run.times]
-    first = f"; the first chunks took {', '.join(f'{s:.2g}' for s in done)} s" if done else ""
+def _cost(run: Run) -> dict[str, Any]:
+    from .._batch.run import seconds_left
+
+    return {
+        "records": len(run.manifest.entries), "bytes": run.total, "bytes_left": run.left, "workers": run.crew.size,
+        "seconds": seconds_left(run),
+    }  # fmt: skip
+
+
+def _said_cost(run: Run) -> str:
+    known = _cost(run)
+    done = f"; the first chunks took {', '.join(f'{s:.2g}' for _, s in run.times[:3])} s" if run.times else ""
     ready = f", {run.ready / 1e6:.4g} MB of them done" if run.ready else ""
-    return (f"{len(run.manifest.entries)} records of {len(run.plan.assets)} assets, {run.total / 1e6:.4g} MB{ready}"
-            f"{first}; about {duration(left)} to go on {run.crew.size} worker{'s' * (run.crew.size != 1)}")  # fmt: skip
+    crew = f"{known['workers']} worker{'s' * (known['workers'] != 1)}"
+    return (f"{known['records']} records of {len(run.plan.assets)} assets, {run.total / 1e6:.4g} MB{ready}{done}; about "
+            f"{duration(known['seconds'])} to go on {crew}")  # fmt: skip
 
 
 def duration(seconds: float) -> str:
