@@ -95,7 +95,8 @@ class Kept:
         return {
             "samples": self.samples, "mean": self.total / self.samples, "rms": math.sqrt(self.squares / self.samples),
             "std": math.sqrt(self.spread / self.samples), "min": self.low, "max": self.high, "peak": p.value,
-            "peak_std": p.std, "peak_low": p.value - WIDTH * p.std, "peak_high": p.value + WIDTH * p.std, "peak_at": p.at,
+            "peak_std": p.std, "peak_low": p.value - WIDTH * p.std, "peak_high": p.value + WIDTH * p.std,
+            "peak_at": p.at,
         }  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -170,7 +171,7 @@ def cycles_of(x: Array, exponents: Sequence[float]) -> Cycles:
 
 
 def equivalent(cycles: Cycles, exponent: float, count: float) -> float:
-    """Damage-equivalent load: the range that does in `count` cycles the damage of all, half cycles of the residue too."""
+    """Damage-equivalent load: the range that does in `count` cycles the damage of all, those of the residue halved."""
     return float((cycles.whole.power[exponent] / count) ** (1 / exponent))
 
 
@@ -187,8 +188,9 @@ def _counted(known: Cycles, x: Array) -> Cycles:
     try:
         from fatpack import find_rainflow_cycles
     except ImportError:
-        raise InputError("cycles are counted by a package that is not installed", where="[fatigue]", found="no fatpack",
-                         expected="fatpack", hint="pip install 'loadid[cluster]', or leave [fatigue] out") from None  # fmt: skip
+        raise InputError("cycles are counted by a package that is not installed", where="[fatigue]",
+                         found="no fatpack", expected="fatpack",
+                         hint="pip install 'loadid[cluster]', or leave [fatigue] out") from None  # fmt: skip
     pairs, residue = find_rainflow_cycles(turning_points(x).tolist())
     ranges = np.abs(np.diff(pairs, axis=1)).reshape(-1) if len(pairs) else np.zeros(0)
     return _with(known, ranges, 1.0, tuple(residue.tolist()))

@@ -16,10 +16,11 @@ SHOWN = 200  # alarms, and records without an answer, that are listed; the table
 DAYS = 60  # columns of the picture of the sensors, the last ones
 GRADES = "ABCD"
 STYLE = """
-.eyes { font-weight: 600; color: var(--warn); } th[data-sort] { cursor: pointer; } th[data-sort]::after { content: " \\2195"; color: var(--quiet); }
-td.n { text-align: right; } .day { display: inline-block; width: .7rem; height: 1rem; margin-right: 1px; vertical-align: middle; }
+.eyes { font-weight: 600; color: var(--warn); } th[data-sort] { cursor: pointer; }
+th[data-sort]::after { content: " \\2195"; color: var(--quiet); }
+.day { display: inline-block; width: .7rem; height: 1rem; margin-right: 1px; vertical-align: middle; }
 .good { background: #7fbf9f; } .some { background: #f0c36d; } .bad { background: #b34700; } .none { background: #eee; }
-.wide { max-width: 90rem; } td, td.n { min-width: 0; }
+.wide { max-width: 90rem; } td { min-width: 0; }
 """
 SCRIPT = """
 for (const head of document.querySelectorAll('th[data-sort]')) head.addEventListener('click', () => {

@@ -115,7 +115,8 @@ class Asset:
             return dt.datetime.strptime(name, self.start).replace(tzinfo=dt.UTC).timestamp()
         except ValueError:
             raise InputError("the name does not tell when the record begins", where=path, found=name,
-                             expected=self.start, hint="mend start in the plan, or rename the file") from None  # fmt: skip
+                             expected=self.start,
+                             hint="mend start in the plan, or rename the file") from None  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -248,7 +249,7 @@ def spans(tree: Mapping[str, Any]) -> list[tuple[int, int]]:
     cuts = [*range(0, samples, piece), samples]
     if len(cuts) > 2 and cuts[-1] - cuts[-2] < piece // 2:
         del cuts[-2]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    return list(pairwise(cuts))
 
 
 # -- one record -------------------------------------------------------------------------------------------------------

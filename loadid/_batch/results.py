@@ -152,7 +152,8 @@ def _add(
         found.rows["loads"].append({**row, **kept.numbers, **_fatigue(kept, plan.fatigue, tree["dt"])})
         for piece in pieces:
             n = piece[j].numbers
-            found.rows["peaks"].append({**row, "at": n["peak_at"], **{c: n[c] for c in n if c.startswith("peak") and c != "peak_at"}})  # fmt: skip  # noqa: E501
+            bands = {name: n[name] for name in ("peak", "peak_std", "peak_low", "peak_high")}
+            found.rows["peaks"].append({**row, "at": n["peak_at"], **bands})
         if kept.cycles is not None:
             for k, count in kept.cycles.whole.classes.items():
                 ends = {"range_low": 10 ** (k / 20), "range_high": 10 ** ((k + 1) / 20)}
@@ -173,7 +174,10 @@ def _fatigue(kept: Kept, asked: Fatigue | None, dt: float) -> Row:
 
 def _exceeded(base: Row, label: str, unit: str, kept: Kept, limit: tuple[float, float]) -> Iterator[Row]:
     """An alarm for each limit that the load went beyond: for certain where its whole band did."""
-    sides = ((kept.low, kept.sure[0], kept.perhaps[0], limit[0], -1.0), (kept.high, kept.sure[1], kept.perhaps[1], limit[1], 1.0))  # fmt: skip  # noqa: E501
+    sides = (
+        (kept.low, kept.sure[0], kept.perhaps[0], limit[0], -1.0),
+        (kept.high, kept.sure[1], kept.perhaps[1], limit[1], 1.0),
+    )
     for value, sure, perhaps, end, side in sides:
         if side * (perhaps - end) > 0:
             certain = side * (sure - end) > 0
@@ -310,5 +314,6 @@ def known_loads(plan: Plan) -> None:
             labels = [c.label for c in load_model(asset.model).loads]
             wrong = [label for label in asset.limits if label not in labels]
             if wrong:
-                raise InputError("a limit of a load that the model has not", where=f"{plan.path}, [[asset]] {asset.name}",
+                raise InputError("a limit of a load that the model has not",
+                                 where=f"{plan.path}, [[asset]] {asset.name}",
                                  found=", ".join(wrong), expected=f"some of {', '.join(labels)}")  # fmt: skip

@@ -1,7 +1,7 @@
 """Chunks given to workers until every part is there: processes of this machine, or the cluster of a scheduler.
 
-A worker that is lost takes nothing with it but the chunk it was working on, which another one repeats. Each local worker
-is a pool of one process, as a pool that loses one of several gives up the chunks of all.
+A worker that is lost takes nothing with it but the chunk it was working on, which another one repeats. Each local
+worker is a pool of one process, as a pool that loses one of several gives up the chunks of all.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import logging
 import multiprocessing
 import os
-
+import signal
 import threading
 import time
 from collections import deque
@@ -31,6 +31,7 @@ from .work import Done, scratch_of, work
 
 log = logging.getLogger(__name__)
 
+UNBORN = 8  # workers in a row that are lost before they begin
 WATCH = 1.0  # s between two looks of a worker at whether its parent is there
 ONE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")  # of a worker
 
@@ -39,8 +40,13 @@ ONE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_
 class Crew(Protocol):
     """Who takes chunks."""
 
-    size: int
-    room: int
+    @property
+    def size(self) -> int:
+        """How many work at a time."""
+
+    @property
+    def room(self) -> int:
+        """How many chunks may be given out at a time."""
 
     def submit(self, chunk: Chunk, order: Order) -> Future[Done]:
         """Give a chunk to somebody who is free."""
@@ -67,6 +73,7 @@ class Processes:
         self._pools: dict[int, ProcessPoolExecutor] = {}
         self._at: dict[Future[Done], int] = {}
         self._who: dict[int, Future[int]] = {}
+        self._unborn = 0
 
     def submit(self, chunk: Chunk, order: Order) -> Future[Done]:
         """Give a chunk to a process that is free."""
@@ -82,11 +89,23 @@ class Processes:
         return future
 
     def lost(self, future: Future[Done]) -> bool:
-        """Whether the process of a chunk is gone."""
+        """Whether the process of a chunk is gone.
+
+        Raises
+        ------
+        InputError
+            No process starts at all.
+        """
         place = self._at.pop(future)
         if not isinstance(future.exception(), BrokenProcessPool):
             return False
         self._pools.pop(place).shutdown(wait=False)
+        who = self._who.pop(place)
+        self._unborn = self._unborn + 1 if who.exception() is not None else 0
+        if self._unborn > UNBORN:
+            raise InputError("the processes of this machine end before they begin", where="[run], workers",
+                             found=f"{self._unborn} in a row", expected="processes that start",
+                             hint="more memory, or a larger run.memory; what was done is kept: --resume")  # fmt: skip
         return True
 
     def close(self) -> None:
@@ -109,7 +128,6 @@ class Processes:
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
-        return pool
 
 
 def begin(memory: float | None, parent: int) -> None:
@@ -163,12 +181,12 @@ class Cluster:
         self._out = 0
 
     @property
-    def size(self) -> int:  # type: ignore[override]
+    def size(self) -> int:
         """Threads of all workers now."""
         return max(sum(self._client.nthreads().values()), 1)
 
     @property
-    def room(self) -> int:  # type: ignore[override]
+    def room(self) -> int:
         """Chunks that are given out at a time: one for each thread, and one that waits for it."""
         return 2 * self.size
 
@@ -209,7 +227,7 @@ class Ledger:
             self._file.close()
             raise InputError("another run writes into this folder", where=str(path), expected="one run at a time",
                              hint="end it first, or name another output")  # fmt: skip
-        if path.stat().st_size and not path.read_bytes()[-1:] == b"\n":  # a line that a kill cut off
+        if path.stat().st_size and path.read_bytes()[-1:] != b"\n":  # a line that a kill cut off
             self._file.write(b"\n")
 
     def add(self, chunk: Chunk, event: str, **more: Any) -> None:
@@ -379,7 +397,7 @@ def _names(folder: Path) -> Iterator[str]:
 
 
 def seconds_left(run: Run) -> float:
-    """What is left would take so long, by the last chunk of each kind that was done: seconds for a byte of its record."""
+    """How long what is left would take, by the last chunk of each kind that was done: seconds a byte of its record."""
     latest: dict[bool, tuple[float, int]] = {}
     for chunk, seconds in run.times:
         latest[bool(chunk.parent)] = (seconds, chunk.size)

@@ -11,7 +11,6 @@ import os
 import secrets
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,7 +99,8 @@ def _judged(estimate: Any) -> dict[str, Any]:
     return {
         "labels": list(estimate.labels), "units": list(estimate.units), "names": list(estimate.sensors),
         "grade": grade.letter, "expected_error": float(grade.expected), "codes": sorted(estimate.codes),
-        "rule": None if choice is None else str(choice.rule), "verdict": None if choice is None else str(choice.verdict),
+        "rule": None if choice is None else str(choice.rule),
+        "verdict": None if choice is None else str(choice.verdict),
         "lam": None if choice is None else float(choice.lam),
     }  # fmt: skip
 
@@ -138,7 +138,8 @@ def _piece(chunk: Chunk, order: Order) -> dict[str, Any]:
     from . import joined
 
     tree = json.loads(part_of(order.folder, chunk.parent).read_bytes())
-    settled = joined.Settled(**{k: tuple(v) if isinstance(v, list) else v for k, v in tree["settled"].items()})
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in tree["settled"].items()}
+    settled = joined.Settled(**given)
     held, model, (first, last) = _held(chunk, order), _model(order), chunk.span
     load, std, rest = joined.solved(held, tree["dt"], model, order.job, settled, first, last)
     if order.history:
@@ -168,6 +169,7 @@ def _held(chunk: Chunk, order: Order) -> Array:
 def _read(path: str, order: Order) -> Record:
     """The channels of a record that the model takes, in the order of its sensors."""
     from .._commands.identify import responses_of
+
     return responses_of(read_record(path, order.reading), _model(order), order.response)
 
 

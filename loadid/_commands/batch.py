@@ -19,7 +19,7 @@ SHOWN = 8  # records without an answer that are listed here; the tables list all
 
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN.toml", help="assets, their records, and what is asked (docs/batch.md)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, tcp://host:8786; default processes here")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, tcp://host:8786; default: this machine")
     parser.add_argument("--resume", action="store_true", help="go on in an output folder that is there")
     parser.add_argument("--workers", type=count, metavar="N", help="processes here; default run.workers, or all cores")
     parser.add_argument("--estimate", action="store_true", help="do the first records, say what all cost, and stop")
@@ -73,8 +73,8 @@ def _said_cost(run: Run) -> str:
     done = f"; the first chunks took {', '.join(f'{s:.2g}' for _, s in run.times[:3])} s" if run.times else ""
     ready = f", {run.ready / 1e6:.4g} MB of them done" if run.ready else ""
     crew = f"{known['workers']} worker{'s' * (known['workers'] != 1)}"
-    return (f"{known['records']} records of {len(run.plan.assets)} assets, {run.total / 1e6:.4g} MB{ready}{done}; about "
-            f"{duration(known['seconds'])} to go on {crew}")  # fmt: skip
+    what = f"{known['records']} records of {len(run.plan.assets)} assets, {run.total / 1e6:.4g} MB{ready}{done}"
+    return f"{what}; about {duration(known['seconds'])} to go on {crew}"
 
 
 def duration(seconds: float) -> str:
@@ -100,8 +100,8 @@ def _answer(found: Results) -> dict[str, Any]:
 
 
 def _said(answer: dict[str, Any], found: Results, output: str) -> str:
-    lines = [f"{answer['done']} of {answer['records']} records done; {answer['alarms']} alarms, "
-             f"{answer['certain']} of them certain"]  # fmt: skip
+    alarms = f"{answer['alarms']} alarms, {answer['certain']} of them certain"
+    lines = [f"{answer['done']} of {answer['records']} records done; {alarms}"]
     for row in answer["without_answer"][:SHOWN]:
         lines.append(f"  {row['status']}: {row['asset']}, {row['record']}: {row['said']}")
     more = len(answer["without_answer"]) - SHOWN

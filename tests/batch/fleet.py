@@ -33,7 +33,8 @@ def fleet(folder: Path, assets: int = 2, records: int = 3, samples: int = 1500, 
             record(folder / f"b{a}" / f"20260301_00{k:02d}.npz", samples, 100 * a + k)
     lines = [
         'output = "out"', more, "[every]", 'model = "beam.h5"', 'records = ["{name}/*.npz"]',
-        'start = "%Y%m%d_%H%M.npz"', 'reading = { unit = { y0 = "arbitrary" } }', *(f'[[asset]]\nname = "b{a}"' for a in range(assets)),
+        'start = "%Y%m%d_%H%M.npz"',
+        'reading = { unit = { y0 = "arbitrary" } }', *(f'[[asset]]\nname = "b{a}"' for a in range(assets)),
     ]  # fmt: skip
     plan = folder / "plan.toml"
     plan.write_text("\n".join(lines) + "\n")

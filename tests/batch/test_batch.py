@@ -153,9 +153,7 @@ def test_workers_that_are_killed(undisturbed: Path, tmp_path: Path, monkeypatch:
     assert written(tmp_path / "fleet" / "out") == written(undisturbed / "out")
 
 
-def test_a_run_that_is_killed_goes_on(
-    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_killed_goes_on(undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = copy(undisturbed, tmp_path / "fleet")
     command = [sys.executable, "-m", "loadid.cli", "batch", str(plan)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2]) as process:

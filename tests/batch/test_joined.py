@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,8 +39,8 @@ def beam_record(model: ForwardModel, dt: float) -> np.ndarray:
 
 
 def in_pieces(values: np.ndarray, dt: float, model, job, found) -> list[np.ndarray]:
-    cuts = [*range(0, len(values), PIECE), len(values)]
-    parts = [joined.solved(values, dt, model, job, found, a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    cuts = pairwise([*range(0, len(values), PIECE), len(values)])
+    parts = [joined.solved(values, dt, model, job, found, a, b) for a, b in cuts]
     return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ RNG = np.random.default_rng(4)
 
 
 def pieces(x: np.ndarray, std: np.ndarray, cuts: list[int], exponents: tuple[float, ...] | None) -> list[Kept]:
-    ends = [0, *cuts, len(x)]
-    return [kept(x[a:b], std[a:b], 0.1, a, exponents) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    ends = pairwise([0, *cuts, len(x)])
+    return [kept(x[a:b], std[a:b], 0.1, a, exponents) for a, b in ends]
 
 
 @pytest.mark.parametrize(

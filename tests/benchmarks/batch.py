@@ -13,10 +13,12 @@ The alternative that is at hand is a loop of `loadid identify` in a shell: every
 from __future__ import annotations
 
 import argparse
+import contextlib
+import datetime as dt
+import io
 import json
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -55,7 +57,7 @@ def nap(chunk: Chunk, order: Order) -> Done:
 def waited(folder: Path, count: int, workers: int, grain: float) -> tuple[float, float]:
     """Seconds of a run of chunks that wait, with its start; and from the first part to the last."""
     shutil.rmtree(folder, ignore_errors=True)
-    plan = fleet(folder, assets=1, records=count, samples=16, more=HEAD.format(workers=workers))
+    plan = fleet(folder, assets=1, records=count, samples=300, more=HEAD.format(workers=workers))
     os.environ["GRAIN"], running.work = str(grain), nap
     begun = time.monotonic()
     try:
@@ -64,18 +66,14 @@ def waited(folder: Path, count: int, workers: int, grain: float) -> tuple[float,
         running.work = real
     whole = time.monotonic() - begun
     stamps = [line["at"] for line in ledger(folder)]
-    first, last = (time.mktime(time.strptime(s[:19], "%Y-%m-%dT%H:%M:%S")) + float(s[19:23]) for s in (stamps[0], stamps[-1]))
+    first, last = (dt.datetime.fromisoformat(stamp).timestamp() for stamp in (stamps[0], stamps[-1]))
     return whole, last - first + grain
 
 
 def quiet(arguments: list[str]) -> int:
     """The command, its text thrown away."""
-    kept, sys.stdout = sys.stdout, open(os.devnull, "w")
-    try:
+    with contextlib.redirect_stdout(io.StringIO()):
         return cli.main(arguments)
-    finally:
-        sys.stdout.close()
-        sys.stdout = kept
 
 
 def ledger(folder: Path) -> list[dict]:
@@ -112,9 +110,9 @@ def overhead(folder: Path) -> None:
     count, grain = 16, 10.0
     whole, inside = waited(folder / "nap", count, 2, grain)
     ideal = count * grain / 2
-    print(f"{count} chunks that wait {grain:g} s on 2 workers, ideal {ideal:.0f} s: {inside:.2f} s from the first chunk "
-          f"to the last part ({100 * (inside / ideal - 1):.2f} %), {whole:.2f} s with start, plan, tables and page "
-          f"({100 * (whole / ideal - 1):.1f} %)")  # fmt: skip
+    print(f"{count} chunks that wait {grain:g} s on 2 workers, ideal {ideal:.0f} s: {inside:.2f} s from the first "
+          f"chunk to the last part ({100 * (inside / ideal - 1):.2f} %), {whole:.2f} s with start, plan, tables and "
+          f"page ({100 * (whole / ideal - 1):.1f} %)")  # fmt: skip
 
 
 def kills(folder: Path, runs: int) -> None:
@@ -161,7 +159,8 @@ def kills(folder: Path, runs: int) -> None:
         tally["duplicates"] += len(done) - len(set(done))
         tally["chunks repeated"] += sum(line["event"] == "lost" for line in lines)
         tally["failed"] += sum(line["event"] == "failed" for line in lines)
-    said = ", ".join(f"{name} {tally[name]}" for name in ("exit 0", "identical", "killed", "chunks repeated", "duplicates", "failed"))
+    names = ("exit 0", "identical", "killed", "chunks repeated", "duplicates", "failed")
+    said = ", ".join(f"{name} {tally[name]}" for name in names)
     print(f"{runs} runs of {chunks} chunks on 2 workers: {said} ({time.monotonic() - begun:.0f} s)")
 
 
@@ -219,13 +218,18 @@ def simulated(folder: Path) -> None:
     begun = time.monotonic()
     asked = plans.read(path, workers=2)
     listed = records.manifest(asked)
-    print(f"plan of {len(listed.entries)} days, {500 * samples / 1e9:.2f}e9 samples: {time.monotonic() - begun:.1f} s, "
-          f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB (the file is read once)")  # fmt: skip
-    text = subprocess.run([sys.executable, "-m", "loadid.cli", "batch", path, "--estimate", "--workers", "2"], check=True,
-                          capture_output=True, text=True).stdout  # fmt: skip
-    print(text.strip())
+    print(f"plan of {len(listed.entries)} days, {500 * samples / 1e9:.2f}e9 samples: {time.monotonic() - begun:.1f} s "
+          "(one file under 500 names is read once)")  # fmt: skip
+    command = [sys.executable, "-m", "loadid.cli", "batch", path, "--workers", "2"]
+    said = subprocess.run([*command, "--estimate"], check=True, capture_output=True, text=True)
+    print(said.stdout.strip())
     times = [(line["seconds"], "piece" if "span" in line else "first") for line in ledger(place)]
     print("; ".join(f"{kind} {seconds:.2f} s" for seconds, kind in times))
+    few = path.replace("plan.toml", "few.toml")
+    Path(few).write_text(Path(path).read_text().split('[[asset]]\nname = "b004"')[0].replace('"out"', '"few"'))
+    begun, command[4] = time.monotonic(), few
+    said = subprocess.run(command, check=True, capture_output=True, text=True)
+    print(f"4 of these days run: {time.monotonic() - begun:.0f} s; {said.stdout.splitlines()[0]}")
 
 
 def main() -> None:
