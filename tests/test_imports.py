@@ -89,7 +89,12 @@ def test_the_default_install_has_what_the_packages_import() -> None:
     import tomllib
 
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
-    allowed = {line.split(">")[0] for line in declared} | {"cv2", "PIL", "distributed", "pyarrow", "fatpack"} | {*PACKAGES} | sys.stdlib_module_names
+    allowed = (
+        {line.split(">")[0] for line in declared}
+        | {"cv2", "PIL", "distributed", "pyarrow", "fatpack"}
+        | {*PACKAGES}
+        | sys.stdlib_module_names
+    )
     outside = {
         (name, base.split(".")[0])
         for name, path in modules(*PACKAGES)

@@ -26,6 +26,7 @@ NAMES = {
     "asset": ("name", "model", "records", "response", "start", "from", "to", "limits", "reading"),
 }
 FAMILIES = ("deconvolution", "sparse")  # whose answers are histories
+LEAST = 1e8  # bytes that a worker needs to load and compile
 UNITS = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30, "b": 1.0}
 
 
@@ -361,8 +362,8 @@ class Said:
             size = float(number) * UNITS[unit.strip() or "b"]
         except (ValueError, KeyError):
             size = 0.0
-        if not 1e6 <= size < 1e15:
-            self.refused("[run], memory", given, "a size such as '2 GB'")
+        if not LEAST <= size < 1e15:
+            self.refused("[run], memory", given, "a size such as '2 GB', at least 100 MB")
         return size
 
 

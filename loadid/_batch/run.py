@@ -136,13 +136,15 @@ def begin(memory: float | None, parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH)
-        os._exit(1)
+        os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
     if memory is None:
         return
     try:
         import resource
+
+        from . import joined  # noqa: F401  # what every chunk loads is not counted
 
         taken = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_DATA, (taken + int(memory),) * 2)

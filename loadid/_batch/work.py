@@ -65,6 +65,8 @@ def work(chunk: Chunk, order: Order) -> Done:
     try:
         tree = _piece(chunk, order) if chunk.parent else _record(chunk, order)
     except (InputError, NotIdentifiable) as error:
+        if isinstance(error.__cause__, MemoryError):  # the record is not to blame
+            raise MemoryError from error
         kind = "bad input" if isinstance(error, InputError) else "not identifiable"
         tree = {"kind": "refused", "why": kind, "said": error.command}
     _put(target, json.dumps(tree, allow_nan=False, sort_keys=True).encode())

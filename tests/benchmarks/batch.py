@@ -135,10 +135,12 @@ def kills(folder: Path, runs: int) -> None:
             return crews[0]
 
         def kill(crews: list = crews, over: threading.Event = over) -> None:
-            while not over.wait(rng.uniform(0.0, 2.0)):
+            left = rng.randint(1, 3)
+            while left and not over.wait(rng.uniform(0.0, 3.0)):
                 busy = [who.result() for who in list(crews[0].who.values()) if who.done()] if crews else []
                 if busy:
                     tally["killed"] += 1
+                    left -= 1
                     try:
                         os.kill(rng.choice(busy), signal.SIGKILL)
                     except ProcessLookupError:
