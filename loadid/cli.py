@@ -22,7 +22,7 @@ __all__ = ["commands", "main"]
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
-_OWN = ("demo", "info", "check", "calibrate", "identify", "track")
+_OWN = ("demo", "info", "check", "calibrate", "identify", "track", "batch")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -78,19 +78,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 def commands() -> dict[str, Command]:
     """All subcommands, by name: those of the entry points, or this package's own where it is not installed."""
     found: dict[str, Command] = {}
+    named = set()
     for point in entry_points(group=GROUP):
+        named.add(point.name)
         try:
             found[point.name] = point.load()
         except Exception as error:  # a broken command of another package must not take the others down
             print(f"loadid: the command {point.name!r} ({point.value}) is left out: {error}", file=sys.stderr)
-    if not any(name in found for name in _OWN):
+    if not any(name in named for name in _OWN):
         print(
             "loadid: not installed, so its registered commands cannot be read (python -m pip install -e .); "
             "only its own commands are known",
             file=sys.stderr,
         )
-        found |= {name: import_module(f"._commands.{name}", __package__).command for name in _OWN}
-    return found
+    missing = [name for name in _OWN if name not in named]  # also of an install in place that is older than its tree
+    return found | {name: import_module(f"._commands.{name}", __package__).command for name in missing}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -31,7 +31,7 @@ FORBIDDEN = {
         "loadid._readers", "loadid._plots", "loadid._results.report", "loadid.cli", "loadid._commands",
     ),
 }  # fmt: skip
-DOORS = ("loadid.__init__", "loadid.cli", "loadid._commands", "loadid.lab", "loadid.batch", "loadid._stream")
+DOORS = ("loadid.__init__", "loadid.cli", "loadid._commands", "loadid.lab", "loadid._batch", "loadid._stream")
 
 
 def offences(module: str, source: str | ast.Module) -> list[str]:
@@ -119,7 +119,7 @@ CLEAN = [
     ("loadid.__init__", "TABLE = {'Deconvolution': 'loadid._families.deconvolution'}"),
     ("loadid._commands.identify", "from loadid._families.deconvolution import Deconvolution"),
     ("loadid.cli", "from ._families import deconvolution"),
-    ("loadid.batch.run", "from .._families import deconvolution"),
+    ("loadid._batch.run", "from .._families import deconvolution"),
     (
         "loadid._families.static",
         "from .data import gather\nfrom .._inverse.svd import SVDPath\nfrom ..estimate import LoadEstimate",

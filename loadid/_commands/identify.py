@@ -109,6 +109,17 @@ def identify(
     )
 
 
+JOB = (
+    "family", "method", "penalty", "variance", "choice", "path", "initial", "leak", "dictionary", "nonnegative",
+    "signal", "over", "level", "band", "segment", "allow",
+)  # fmt: skip
+
+
+def job(args: Namespace) -> dict[str, Any]:
+    """Keyword arguments of `identify` that say how a load is found, as the options give them."""
+    return {**{name: getattr(args, name) for name in JOB}, "nonnegative": args.nonnegative or None}
+
+
 def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     """The settings that were given, as the family takes them.
 
@@ -301,12 +312,7 @@ def _run(args: Namespace) -> int:
     log = _read(args.log, one_record(args), settings(args))
     truth = None if args.truth is None else known_load(log, model, args.truth)
     with Bar() as bar:
-        estimate = identify(
-            log, model, family=args.family, responses=args.response, method=args.method, penalty=args.penalty,
-            variance=args.variance, choice=args.choice, path=args.path, initial=args.initial, leak=args.leak,
-            dictionary=args.dictionary, nonnegative=args.nonnegative or None, signal=args.signal, over=args.over,
-            level=args.level, band=args.band, segment=args.segment, allow=allow, progress=bar,
-        )  # fmt: skip
+        estimate = identify(log, model, responses=args.response, progress=bar, **{**job(args), "allow": allow})
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
                          expected="a load over time", hint="leave --truth out")  # fmt: skip

@@ -1,0 +1,313 @@
+"""The manifest: every record of a plan with the digest of its bytes, and how one of them is read."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from structures.errors import InputError
+
+from .. import __version__
+from .plan import Asset, Plan
+
+if TYPE_CHECKING:
+    from .._record import Record
+
+PIECE = 1 << 20
+PARQUET = (".parquet", ".pq")
+PARTS = 1  # goes up when parts of an earlier release can no longer be read
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Work that is done as a whole or not at all.
+
+    Parameters
+    ----------
+    key : str
+        Digest of what it depends on, and the name of its part.
+    record : str
+        Path of its record.
+    size : int
+        Bytes of the record that it stands for.
+    asset : int
+        Place in the plan.
+    parent : str
+        Key of the record, of a piece of a long one; "" of a record.
+    span : (int, int)
+        Samples of the piece.
+    """
+
+    key: str
+    record: str
+    size: int
+    asset: int
+    parent: str = ""
+    span: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class Order:
+    """What all chunks of an asset share, as plain values.
+
+    Parameters
+    ----------
+    folder : str
+        Of the parts.
+    model, model_digest : str
+    response : tuple of str, optional
+    reading, job : mapping
+    exponents : tuple of float, optional
+    piece : int
+    history : bool
+    """
+
+    folder: str
+    model: str
+    model_digest: str
+    response: tuple[str, ...] | None
+    reading: Mapping[str, Any]
+    job: Mapping[str, Any]
+    exponents: tuple[float, ...] | None
+    piece: int
+    history: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One record of an asset.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    start : float, optional
+        When it begins, in s since 1970 (UTC); None where its name does not tell.
+    """
+
+    chunk: Chunk
+    start: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Bad:
+    """A record that no worker sees, and why."""
+
+    asset: int
+    record: str
+    said: str
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """All records of a plan, by asset and time.
+
+    Parameters
+    ----------
+    entries : tuple of Entry
+    bad : tuple of Bad
+    orders : tuple of Order
+        One for each asset.
+    """
+
+    entries: tuple[Entry, ...]
+    bad: tuple[Bad, ...]
+    orders: tuple[Order, ...]
+
+
+def manifest(plan: Plan) -> Manifest:
+    """Records of a plan with their keys.
+
+    Files that did not change since an earlier run (same size, time of change and inode) are not read again.
+    """
+    known = Digests(plan.output / "digests.txt")
+    orders = tuple(_order(plan, asset, known) for asset in plan.assets)
+    entries: list[Entry] = []
+    bad: list[Bad] = []
+    for at, (asset, order) in enumerate(zip(plan.assets, orders, strict=True)):
+        base = _common(asset, order)
+        seen: dict[str, str] = {}
+        found = []
+        for path, start in _in_range(asset, at, bad):
+            try:
+                digest, size = known.of(path)
+            except OSError as error:
+                bad.append(Bad(at, path, f"{path}: the file cannot be read; found: {error.strerror or error}"))
+                continue
+            if digest in seen:
+                bad.append(Bad(at, path, f"{path}: the same bytes as {seen[digest]}, which is counted once; "
+                               "what to do: take one of them away"))  # fmt: skip
+                continue
+            seen[digest] = path
+            key = base.copy()
+            key.update(digest.encode())
+            found.append(Entry(Chunk(key.hexdigest(), path, size, at), start))
+        entries += sorted(found, key=lambda e: (e.start is None, e.start or 0.0, e.chunk.record))
+    known.close()
+    return Manifest(tuple(entries), tuple(bad), orders)
+
+
+def _in_range(asset: Asset, at: int, bad: list[Bad]) -> Iterator[tuple[str, float | None]]:
+    first = None if asset.first is None else asset.first.timestamp()
+    last = None if asset.last is None else asset.last.timestamp()
+    for path in asset.records:
+        try:
+            start = asset.begins(path)
+        except InputError as error:
+            bad.append(Bad(at, path, error.command))
+            continue
+        if start is None or ((first is None or start >= first) and (last is None or start < last)):
+            yield path, start
+
+
+def _order(plan: Plan, asset: Asset, known: Digests) -> Order:
+    exponents = None if plan.fatigue is None else plan.fatigue.exponents
+    return Order(
+        str(plan.output), str(asset.model), known.of(str(asset.model))[0], asset.response, dict(asset.reading),
+        dict(plan.job), exponents, plan.run.piece, plan.run.history,
+    )  # fmt: skip
+
+
+def _common(asset: Asset, order: Order) -> Any:
+    """Digest of all that a part of an asset depends on but for its record."""
+    told = {
+        "version": __version__, "parts": PARTS, "asset": asset.name, "model": order.model_digest, "job": order.job,
+        "response": order.response, "reading": order.reading, "exponents": order.exponents, "piece": order.piece,
+        "history": order.history,
+    }  # fmt: skip
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+
+
+class Digests:
+    """sha256 of files, kept beside the parts: a file is read once as long as it does not change.
+
+    Parameters
+    ----------
+    path : Path
+        Lines of device, inode, size, time of change (ns) and digest.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.known: dict[str, str] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            for line in path.read_text("ascii", "replace").splitlines():
+                mark, _, digest = line.rpartition(" ")
+                if len(digest) == 64 and mark:
+                    self.known[mark] = digest
+        self._file = path.open("a")
+
+    def of(self, path: str) -> tuple[str, int]:
+        """Digest and size in bytes.
+
+        Raises
+        ------
+        OSError
+            A file that cannot be read.
+        """
+        about = os.stat(path)
+        mark = f"{about.st_dev} {about.st_ino} {about.st_size} {about.st_mtime_ns}"
+        digest = self.known.get(mark)
+        if digest is None:
+            with open(path, "rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            self.known[mark] = digest
+            self._file.write(f"{mark} {digest}\n")
+        return digest, about.st_size
+
+    def close(self) -> None:
+        """Write what is new."""
+        self._file.close()
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+def part_of(folder: str, key: str) -> Path:
+    """Where the part of a chunk lies."""
+    return Path(folder) / "parts" / key[:2] / f"{key}.json"
+
+
+def pieces_of(chunk: Chunk, tree: Mapping[str, Any]) -> tuple[tuple[str, int, int], ...]:
+    """Keys and spans of the pieces of a record whose part is `tree`; none where it was done as a whole."""
+    if tree["kind"] != "settled":
+        return ()
+    seed = hashlib.sha256(json.dumps(tree["settled"], sort_keys=True).encode()).hexdigest()
+    return tuple(
+        (hashlib.sha256(f"{chunk.key} {seed} {a}:{b}".encode()).hexdigest(), a, b) for a, b in spans(tree)
+    )  # fmt: skip
+
+
+def spans(tree: Mapping[str, Any]) -> list[tuple[int, int]]:
+    """Ends of the pieces of a long record: a rest that is shorter than half a piece goes with the last one."""
+    samples, piece = tree["samples"], tree["piece"]
+    cuts = [*range(0, samples, piece), samples]
+    if len(cuts) > 2 and cuts[-1] - cuts[-2] < piece // 2:
+        del cuts[-2]
+    return list(pairwise(cuts))
+
+
+# -- one record -------------------------------------------------------------------------------------------------------
+def read_record(path: str, reading: Mapping[str, Any]) -> Record:
+    """A record of any format that the package reads, or of a Parquet file.
+
+    Raises
+    ------
+    InputError
+        Whatever is wrong with the file.
+    """
+    if Path(path).suffix.lower() in PARQUET:
+        return _parquet(path, reading)
+    from .._readers import read
+
+    return read(path, **reading)
+
+
+def _parquet(path: str, reading: Mapping[str, Any]) -> Record:
+    """Columns of a Parquet file as channels, settled as those of any other table; stamps are a column of time."""
+    from .._readers.settle import settle
+    from .._readers.source import Options, Source, Table
+
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError("Parquet files are read by a package that is not installed", where=path, found="no pyarrow",
+                         expected="pyarrow", hint="pip install 'loadid[cluster]'") from None  # fmt: skip
+    source = Source(Path(path), os.stat(path).st_size, b"")
+    try:
+        with parquet.ParquetFile(path) as file:
+            source.allow(8 * file.metadata.num_rows * file.metadata.num_columns)
+            table = file.read()
+        kept = [f.name for f in table.schema if _is_number(f.type) or pa.types.is_temporal(f.type)]
+        values = np.stack([_seconds(table[name]) for name in kept], axis=1) if kept else np.zeros((0, 0))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError("no Parquet file, or a damaged one", where=path, found=str(error)[:200],
+                         hint="write it again from its source") from None  # fmt: skip
+    if not values.size:
+        source.refuse("the file holds no numbers", ", ".join(table.column_names)[:200], "columns of numbers")
+    stamps = [k for k, name in enumerate(kept) if pa.types.is_temporal(table.schema.field(name).type)]
+    made = Table(values, Path(path).stem, tuple(kept), time=stamps[0] if stamps else None)
+    given = {name: reading[name] for name in ("fs", "columns", "units") if reading.get(name) is not None}
+    return settle(made, source, Options(**given))
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow.types as types
+
+    return bool(types.is_integer(kind) or types.is_floating(kind))
+
+
+def _seconds(column: Any) -> Any:
+    """A column as float64, NaN where nothing is; stamps in s after the first."""
+    import pyarrow.types as types
+
+    if not types.is_temporal(column.type):
+        return column.cast("float64").to_numpy()
+    stamps = column.cast("timestamp[ns]").cast("int64").to_numpy()
+    return (stamps - stamps[0]) * 1e-9
