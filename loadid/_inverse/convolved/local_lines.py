@@ -33,12 +33,9 @@ from ..local_prior import (
     LEAST,
     LONGEST,
     MEMORIES,
-    MOST,
     NOISELESS,
-    POWER,
     SETTLED,
     TINY,
-    TRIED,
     Judgement,
     bumps,
     input_variance,
@@ -51,6 +48,8 @@ from .path import Lines, SpectralPath
 
 Array = NDArray[Any]
 
+POWER = 0.8  # of the update of bumps
+MOST, TRIED = 14, 10  # updates of bumps, and those after which memories are compared
 AROUND = 3 * HALF  # samples on each side of a load that bumps are given to
 WEAKEST = 1e-4  # energy, over the largest, of a load that bumps are given to, where so many can be
 GROWN = 10.0  # that limit is raised by, where they cannot
