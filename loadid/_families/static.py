@@ -16,7 +16,7 @@ from structures._models.arrays import MatrixModel
 from structures.errors import InputError, NotIdentifiable
 
 from .. import _guards as guards
-from .._inverse.choice import Choice, checked, choose, named
+from .._inverse.choice import Choice, checked, choose, given, named
 from .._inverse.diagnosis import diagnose, identifiability
 from .._inverse.path import Solution
 from .._results.estimate import LoadEstimate
@@ -205,13 +205,17 @@ class StaticInversion:
         )
 
     def choose(self, posed: StaticProblem) -> Choice:
-        """Lambda of a problem: of the calibration, of the user, or by the rules."""
+        """Lambda of a problem: of the calibration, of the user, or by the rules.
+
+        One that is given is not judged by rules under constraints: each rule would ask for a solution at many others.
+        """
         choice = self.choice
         if self.calibration is not None:
             choice = self.calibration.lam
         elif isinstance(choice, Absolute):
             choice = choice.relative(posed.path)
-        return choose(posed.path, choice, sigma=posed.noise.sigma, source=posed.noise.source)
+        judge = given if posed.constrained and isinstance(choice, float) else choose
+        return judge(posed.path, choice, sigma=posed.noise.sigma, source=posed.noise.source)
 
     @property
     def free(self) -> bool:

@@ -1,0 +1,287 @@
+"""What users wait for: whole jobs, by the public call or the command line, beside what they would take instead.
+
+Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about ten minutes. CPU seconds of
+the process and its children, the BLAS threads as the environment has them, on the default install. Every job runs in a
+process of its own, once on a record of its own to have its loops compiled, then on another record (*first*) and a third
+one (*again*: what is kept of a model counts). The alternative has the same data and, where it knows none, the lambda
+that the job chose; it gives a load without std, rules or verdict.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loadid import Deconvolution, Noise, SparseDeconvolution, StaticInversion
+from loadid._commands import demo
+from loadid.cli import main as command
+from loadid.constraints import NonNegative
+from structures import ForwardModel, ImpulseModel, MatrixModel, beams, damping, loads, sensors
+
+Array = NDArray[Any]
+Job = Callable[[int], Any]
+Other = Callable[[int, Any], object]
+
+
+def spent() -> float:
+    """CPU seconds of this process and its children."""
+    own, other = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + other.ru_utime + other.ru_stime
+
+
+def noisy(clean: Array, seed: int, share: float = 0.02) -> Array:
+    """With white noise on each channel."""
+    rng = np.random.default_rng(seed)
+    return clean + share * np.sqrt(np.mean(clean**2, axis=0)) * rng.standard_normal(clean.shape)
+
+
+def by_fft(h: Array, y: Array, lam: float) -> object:
+    """LSQR over FFT products with an impulse response (samples, sensors) and one load, at one absolute lambda."""
+    from scipy.fft import irfft, rfft
+    from scipy.sparse.linalg import LinearOperator, lsqr
+
+    n, m = y.shape
+    H = rfft(h, 2 * n, axis=0)
+
+    def out(g: Array) -> Array:
+        return irfft(H * rfft(g, 2 * n)[:, None], axis=0)[:n].ravel()
+
+    def back(r: Array) -> Array:
+        return irfft((H.conj() * rfft(r.reshape(n, m), 2 * n, axis=0)).sum(axis=1))[:n]
+
+    return lsqr(LinearOperator((n * m, n), matvec=out, rmatvec=back), y.ravel(), damp=lam, atol=1e-8, btol=1e-8)
+
+
+# -- jobs --------------------------------------------------------------------------------------------------------------
+def demonstration() -> tuple[Job, None]:
+    """`loadid demo`: three accelerometers x 6000 samples, one hit, to report and pictures."""
+
+    def job(k: int) -> None:
+        with tempfile.TemporaryDirectory() as folder, redirect_stdout(StringIO()):
+            assert command(["demo", "--out", folder]) == 0
+
+    return job, None
+
+
+@cache
+def long_beam() -> ForwardModel:
+    """A cantilever of 14 modes with three accelerometers."""
+    structure = beams.cantilever(elements=30, damping=damping.Modal(0.01), length=1.5, EI=800.0, mass_per_length=3.0)
+    seen = [sensors.Accelerometer(f"{node}+Z") for node in (9, 17, 26)]
+    return ForwardModel(structure, seen, [loads.Point("21+Z", label="hit")], modes=14)
+
+
+def hits(samples: int, seed: int) -> Array:
+    """A half sine of 41 samples every 4000, (samples, 1)."""
+    g = np.zeros((samples, 1))
+    for start in range(500 + 37 * seed, samples - 50, 4000):
+        g[start : start + 41, 0] = 100 * np.sin(np.pi * np.arange(41) / 40)
+    return g
+
+
+def many_samples() -> tuple[Job, Other]:
+    """A beam of 14 modes, three accelerometers, 30 000 samples, rules and std."""
+    model, dt, n = long_beam(), 1e-4, 30_000
+    inversion = Deconvolution(model)
+
+    def record(k: int) -> Array:
+        return noisy(model.predict(hits(n, k), dt), k, 0.05)
+
+    def other(k: int, found: Any) -> object:
+        h = model.impulse_response(dt, n, model.default_hold)[:, :, 0]
+        return by_fft(h, record(k), 0.01 * float(np.abs(np.fft.rfft(h, axis=0)).max()))
+
+    return (lambda k: inversion.estimate(record(k), dt)), other
+
+
+def simulated_demo() -> tuple[Job, Other]:
+    """The estimate of the demo alone: three accelerometers x 6000 samples, the default prior of local variance."""
+    model = demo.model()
+    inversion = Deconvolution(model)
+
+    def other(k: int, found: Any) -> object:
+        record = demo.simulate(k).record
+        h = model.impulse_response(record.dt, len(record.values), model.default_hold)[:, :, 0]
+        return by_fft(h, record.values, 0.01 * float(np.abs(np.fft.rfft(h, axis=0)).max()))
+
+    return (lambda k: inversion.estimate(demo.simulate(k).record)), other
+
+
+def missing() -> tuple[Job, Other]:
+    """20 of 1024 samples missing; the alternative is the same record without gaps, by ours."""
+    model, dt = long_beam(), 1e-4
+    inversion = Deconvolution(model)
+
+    def job(k: int, gaps: bool = True) -> Any:
+        y = noisy(model.predict(hits(1024, k), dt), k, 0.05)
+        if gaps:
+            y[300:320] = np.nan
+        return inversion.estimate(y, dt)
+
+    return job, lambda k, found: job(k, False)
+
+
+def identified() -> tuple[Job, None]:
+    """`loadid identify` with a report: CSV of 10 s at 2 kHz, three channels."""
+    model, dt, n = long_beam(), 5e-4, 20_000
+
+    def job(k: int) -> None:
+        with tempfile.TemporaryDirectory() as place, redirect_stdout(StringIO()):
+            folder = Path(place)
+            model.save(folder / "model.h5")
+            y = noisy(model.predict(hits(n, k), dt), k, 0.05)
+            head = ",".join(["time [s]", *(f"{channel.label} [m/s^2]" for channel in model.sensors)])
+            np.savetxt(folder / "log.csv", np.column_stack([np.arange(n) * dt, y]), delimiter=",", header=head,
+                       comments="")  # fmt: skip
+            words = ["identify", str(folder / "log.csv"), "--model", str(folder / "model.h5"), "-o",
+                     str(folder / "out.h5"), "--report", str(folder / "out.html")]  # fmt: skip
+            assert command(words) == 0
+
+    return job, None
+
+
+def surface(sensors_: int, patches: int, seed: int) -> tuple[Array, Array]:
+    """A compliant surface and what its sensors read under two fingertips."""
+    x, at, t = (np.arange(patches) + 0.5) / patches, (np.arange(sensors_) + 0.5) / sensors_, 0.05
+    H = t / np.pi / (t**2 + (at[:, None] - x) ** 2) / patches
+    g = sum(np.exp(-((x - c - 0.01 * seed) ** 2) / 0.002) for c in (0.35, 0.65))
+    return H, noisy((H @ g)[:, None], seed, 0.01)[:, 0]
+
+
+def pressing(sensors_: int, patches: int, given: bool) -> tuple[Job, Other]:
+    """A static load that only presses."""
+    H = surface(sensors_, patches, 0)[0]
+    choice: Any = 1e-2 if given else None
+    inversion = StaticInversion(MatrixModel(H), constraints=[NonNegative()], choice=choice)
+
+    def other(k: int, found: Any) -> object:
+        from scipy.optimize import nnls
+
+        lam = found.choice.lam * found.choice.scale
+        whole = np.vstack([H, lam * np.eye(patches)])
+        return nnls(whole, np.r_[surface(sensors_, patches, k)[1], np.zeros(patches)], maxiter=100 * patches)
+
+    return (lambda k: inversion.estimate(surface(sensors_, patches, k)[1])), other
+
+
+def pushes() -> tuple[Job, Other]:
+    """README's record of 4000 samples, loads that only push."""
+    h, dt = impulse()
+    inversion = Deconvolution(ImpulseModel(h, dt, kind="held"), constraints=[NonNegative()])
+
+    def other(k: int, found: Any) -> object:
+        return by_fft(h[:, 0], pushed(k), found.choice.lam * found.choice.scale)
+
+    return (lambda k: inversion.estimate(pushed(k), dt)), other
+
+
+def spikes() -> tuple[Job, None]:
+    """The same record, sparse."""
+    h, dt = impulse()
+    inversion = SparseDeconvolution(ImpulseModel(h, dt, kind="held"))
+    return (lambda k: inversion.estimate(pushed(k), dt)), None
+
+
+@cache
+def impulse() -> tuple[Array, float]:
+    """A decaying oscillation, (samples, 1, 1), and its step."""
+    t = np.arange(4000) * 1e-3
+    return (np.exp(-8 * t) * np.sin(2 * np.pi * 30 * t) * 1e-3)[:, None, None], 1e-3
+
+
+def pushed(seed: int) -> Array:
+    """Three pushes, 2 % noise, (samples, 1)."""
+    h, g = impulse()[0][:, 0, 0], np.zeros(4000)
+    for start in (400, 1700, 2900):
+        g[start + seed : start + seed + 60] = 50 * np.sin(np.pi * np.arange(60) / 59)
+    return noisy(np.convolve(h, g)[:4000, None], seed)
+
+
+def million() -> tuple[Job, Other]:
+    """1e6 samples, one sensor, one load, 12 states, rules and std, sigma stated."""
+    structure = beams.cantilever(elements=12, damping=damping.Modal(0.02), length=1.5, EI=800.0, mass_per_length=3.0)
+    model = ForwardModel(structure, [sensors.Displacement("9+Z")], [loads.Point("13+Z")], modes=6)
+    dt, n = 1e-3, 1_000_000
+
+    def record(k: int) -> tuple[Array, float]:
+        rng = np.random.default_rng(k)
+        clean = model.predict(np.cumsum(rng.standard_normal((n, 1)), axis=0), dt)
+        sigma = 0.02 * float(np.std(clean))
+        return clean + sigma * rng.standard_normal(clean.shape), sigma
+
+    def job(k: int) -> Any:
+        y, sigma = record(k)
+        return Deconvolution(model, noise=Noise(sigma)).estimate(y, dt)
+
+    def other(k: int, found: Any) -> object:
+        h = model.impulse_response(dt, n, model.default_hold)[:, :, 0]
+        return by_fft(h, record(k)[0], found.choice.lam * found.choice.scale)
+
+    return job, other
+
+
+JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
+    "demo": (demonstration, "loadid demo", ""),
+    "demo estimate": (simulated_demo, "its estimate, 3 x 6000", "LSQR over FFTs, one lambda"),
+    "30 000": (many_samples, "beam of 14 modes, 3 x 30 000", "LSQR over FFTs, one lambda"),
+    "identify": (identified, "identify with report, 3 x 20 000", ""),
+    "missing": (missing, "20 of 1024 samples missing", "the same without gaps"),
+    "pressing": (lambda: pressing(60, 1000, False), "static, only presses, 60 x 1000", "SciPy nnls, that lambda"),
+    "pressing, given": (lambda: pressing(60, 1000, True), "the same, lambda given", "SciPy nnls, that lambda"),
+    "pressing, small": (lambda: pressing(6, 3, False), "the same, 6 x 3", "SciPy nnls, that lambda"),
+    "pushes": (pushes, "4000 samples, only pushes", "LSQR over FFTs, that lambda, no sign"),
+    "spikes": (spikes, "4000 samples, sparse", ""),
+    "million": (million, "1e6 samples, 12 states", "LSQR over FFTs, that lambda"),
+}
+
+
+def measured(name: str) -> dict[str, float]:
+    """CPU seconds of one job: first, again, alternative."""
+    made, _, _ = JOBS[name]
+    job, other = made()
+    job(0)
+    times = {}
+    for k, what in ((1, "first"), (2, "again")):
+        before = spent()
+        found = job(k)
+        times[what] = spent() - before
+    if other is not None:
+        before = spent()
+        other(2, found)
+        times["other"] = spent() - before
+    return times
+
+
+def main(names: list[str]) -> int:
+    """Print the table."""
+    print(f"{'CPU s':34s} {'first':>8s} {'again':>8s} {'other':>8s}  alternative")
+    for name in names or list(JOBS):
+        if name not in JOBS:
+            print(f"no job {name!r}: {', '.join(JOBS)}", file=sys.stderr)
+            return 2
+        code = f"import json; from tests.benchmarks.waiting import measured; print(json.dumps(measured({name!r})))"
+        done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=False)
+        _, title, alternative = JOBS[name]
+        if done.returncode:
+            print(f"{title:34s} failed: {done.stderr.strip().splitlines()[-1]}", flush=True)
+            continue
+        times = json.loads(done.stdout.strip().splitlines()[-1])
+        other = f"{times['other']:8.2f}" if "other" in times else " " * 8
+        print(f"{title:34s} {times['first']:8.2f} {times['again']:8.2f} {other}  {alternative}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
