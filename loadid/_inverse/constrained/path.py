@@ -101,6 +101,7 @@ def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], fr
 SCALARS = (
     "residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "sensitivity", "objective",
 )  # fmt: skip
+COLD, STEP = 1e-3, 10.0  # relative lambda below which no start is cold; from one lambda to the next
 KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
 
 
@@ -277,10 +278,15 @@ class ConstrainedPath(RegularizationPath):
         return grams(self.base, self.feasible)
 
     def _solved(self, lam: float) -> tuple[ActivePoint, ...]:
-        """Points at `lam`, from the cache or from the nearest lambda in it."""
+        """Points at `lam`, from the cache or from the nearest lambda in it.
+
+        A small lambda without one within a decade is come to in steps: a cold start does not find its face.
+        """
         lam = float(lam)
         if lam not in self._points:
             floor = 1e-300
+            if 0.0 < lam < COLD and not any(lam / STEP <= x <= lam * STEP for x in self._points):
+                self._solved(min(lam * STEP, COLD))
             near = min(self._points, key=lambda x: abs(np.log((x + floor) / (lam + floor))), default=None)
             self._run(lam, None if near is None else self._points[near])
         return self._points[lam]
