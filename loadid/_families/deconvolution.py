@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -153,7 +154,8 @@ class Deconvolution:
         found = self._found(posed, choice, sigma, data, pushed)
         if fit.offsets is not None:
             found = replace(found, facts=Facts.of({**found.facts, "offsets": fit.offsets.words(data)}))
-        local = local_variance.learned(posed, self.settings, found.load, lambda: self._over_states(posed, data))
+        states = cache(lambda: self._over_states(posed, data))
+        local = local_variance.learned(posed, self.settings, found.load, states)
         found = local_variance.replaced(found, local, choice, data.dt)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
         if prior and isinstance(local, local_variance.Learned):
@@ -161,7 +163,7 @@ class Deconvolution:
         elif self.settings.automatic and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.automatic and len(found.load) <= local_variance.LONGEST:
-            found = local_variance.widened(found, self._over_states(posed, data), choice)
+            found = local_variance.widened(found, states(), choice)
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),

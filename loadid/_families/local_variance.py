@@ -31,7 +31,6 @@ Array = NDArray[Any]
 
 SMEARED = "W311"
 RESIDUAL = "residual"  # noise that tests left, which another record may have less of
-CONSTANT = "asked for by name"
 WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 THROUGHOUT = "the load acts throughout"
@@ -63,11 +62,12 @@ class Learned:
     names: tuple[str, ...] = ()
 
 
-Priors: TypeAlias = Learned | StationaryPrior | str  # both; a constant variance alone; or why none was learned
+Priors: TypeAlias = Learned | StationaryPrior | str | None
+"""Both; a constant variance alone, of a load that acts throughout; why none was learned; none was to be learned."""
 
 
 def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None]) -> Priors:
-    """Both priors of a problem, that of constant variance alone where the load acts throughout, or why none.
+    """Both priors of a problem, that of constant variance alone where the load acts throughout, or why there is none.
 
     Parameters
     ----------
@@ -84,10 +84,14 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         assert posed.record is not None
         prior = local_prior(posed.record, stated=posed.noise.known)
         return _with_errors(prior, posed)
+    if settings.penalty.variance == "constant":
+        return None
     if why := _not_asked(settings, load, LONGEST if posed.spectrum is None else LONGEST_LINES):
-        over = states() if why == THROUGHOUT and len(load) <= LONGEST else None
+        return why
+    if spread(load) > IMPACTS:
+        over = states() if len(load) <= LONGEST else None
         if over is None or over.record is None:
-            return why
+            return THROUGHOUT
         return stationary_prior(over.record, stated=over.noise.known)
     if posed.spectrum is not None:
         return _over_lines(posed, posed.spectrum, load)
@@ -121,14 +125,10 @@ def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
 
 def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
-    if settings.penalty.variance == "constant":
-        return CONSTANT
     if not settings.automatic:
         return "another prior, a lambda or a rule was asked for"
     if len(load) > longest:
         return f"beyond {longest} samples learning it costs more than the estimate; variance='local' learns it"
-    if spread(load) > IMPACTS:
-        return THROUGHOUT
     return ""
 
 
@@ -235,8 +235,10 @@ def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> S
     """The answer with the load of the local prior, where that is used; the facts say which stands, and why."""
     if isinstance(learned, StationaryPrior):
         return _between(_constant(found, THROUGHOUT), [learned])
+    if learned is None:
+        return found
     if isinstance(learned, str):
-        return found if learned == CONSTANT else _constant(found, learned)
+        return _constant(found, learned)
     prior, posed = learned.prior, learned.posed
     facts = {
         **found.facts,

@@ -212,7 +212,7 @@ def pushed(seed: int) -> Array:
 def million() -> tuple[Job, Other]:
     """1e6 samples, one sensor, one load, 12 states, rules and std, sigma stated."""
     structure = beams.cantilever(elements=12, damping=damping.Modal(0.02), length=1.5, EI=800.0, mass_per_length=3.0)
-    model = ForwardModel(structure, [sensors.Displacement("9+Z")], [loads.Point("13+Z")], modes=6)
+    model = ForwardModel(structure, [sensors.Displacement("9+Z")], [loads.Point("12+Z")], modes=6)
     dt, n = 1e-3, 1_000_000
 
     def record(k: int) -> tuple[Array, float]:

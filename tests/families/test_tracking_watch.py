@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loadid import LoadTracker, Noise
+from loadid._families.tracking.bank import lifted_of
 from loadid._families.tracking.tracker import Tracker
 from loadid._families.tracking.watch import FARTHEST, FAULT, MISFIT
 from loadid.priors import Matern32
@@ -213,6 +214,21 @@ def test_a_sleeper_is_woken_by_what_is_no_number():
     tracker.run(y[520:])
     assert asleep_at(tracker)
     assert not tracker.row_alarms.any()
+
+
+def test_channels_missing_now_and_all_the_time_leave_the_mixture_its_numbers() -> None:
+    """A hop without the last channel; of two loads for one sample, the missing cell is as the others tell it."""
+    model = fitted().fitted.model
+    there = np.ones(model.m, bool)
+    there[-1] = False
+    bank = lifted_of(model, there)
+    y = np.random.default_rng(2).standard_normal((4, model.m))
+    y[:, -1], y[2, 0] = np.nan, np.nan
+    rows = bank.hypotheses[:2]
+    load, std, ahead = bank.mixed(rows, np.array([0.4, 0.6]), np.tile(bank.x0, (2, 1)), y)
+    assert np.isfinite(load).all()
+    assert np.isfinite(std).all()
+    assert np.isfinite(ahead).all()
 
 
 def test_missing_cells_name_nobody() -> None:

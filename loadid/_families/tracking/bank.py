@@ -178,6 +178,7 @@ def _completed(news: Array, W: Array) -> Array:
     if not gone.any():
         return news
     news = np.where(gone, 0.0, news)
+    gone &= W.any(axis=(0, 1))  # no filter has a channel that is missing all the time
     missing, told = W[:, :, gone], np.matmul(W, news[:, :, None])
     Q, R = np.linalg.qr(missing)
     news[:, gone] = -np.linalg.solve(R, np.matmul(np.swapaxes(Q, 1, 2), told))[:, :, 0]
