@@ -91,6 +91,7 @@ SHARE = 0.2  # of a record that the filter may take to settle
 FEW, OFTEN = 10, 2e-3  # channel samples beyond a gate before it is said, and their share
 MOST = 4  # channels that are named with them
 AGREE = 0.8  # least share of a channel inside the 95 % band that the others predict
+BLIND, LONG_BLIND = 0.5, 1000  # share of the time, and samples, from which a blind watch is said
 FAR = 100.0  # times the load of the fit (40 dB) of an event: tuned in the wind and then hit with a hammer is less
 STAYS = 3.0  # times the largest load of the fit
 SHIFTED = (
@@ -283,6 +284,18 @@ def unlike_the_fit(samples: int, loudest: float, suspects: Sequence[str] = ()) -
         f"(there at most {loudest:.3g} times their mean), and no single channel explains it: the structure has "
         "changed or started anew, several sensors are wrong, or a load acts that the model lacks; the loads are "
         "those of all channels, and their band knows nothing of it",
+    )
+
+
+def blind(samples: int, taken: int) -> Flag | None:
+    """N531: samples of which the watch over the sensors tells nothing, as cells are missing, of all that it took."""
+    if samples < LONG_BLIND or samples <= BLIND * taken:
+        return None
+    return Flag(
+        "N531",
+        Evidence("share of the samples of which the watch tells nothing", samples / taken, BLIND),
+        f"for {samples} of {taken} samples cells were missing that the watch over the sensors needs: it has named no "
+        "wrong sensor there, and would not have",
     )
 
 

@@ -240,6 +240,7 @@ def test_missing_cells_name_nobody() -> None:
     y[gone] = np.nan
     found = tracker.run(y)
     assert not tracker.faults
+    assert "LID-N531" in {flag.code for flag in tracker.alarms}
     tracker.reset()
     usual = np.sqrt(np.mean((tracker.run(case.y)[0] - case.load) ** 2))
     assert np.sqrt(np.mean((found[0] - case.load) ** 2)) < 4 * usual  # it was 19 times, with six alarms

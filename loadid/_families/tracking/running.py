@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
-from ..._guards.tracking import FAR, beyond_the_fit, faulty, kept_out, moved_off, unlike_the_fit
+from ..._guards.tracking import FAR, beyond_the_fit, blind, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array
@@ -190,6 +190,7 @@ class Running:
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
             None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
                                                       x.kind, x.sample) for x in self._watch.named], self._watch.acts),
+            None if self._watch is None else blind(self._watch.unseen, self._watch.count),
             None if self._watch is None else unlike_the_fit(
                 self._watch.unlike, self._watch.usual.loudest,
                 [labels[self._watch.order[i]] for i in np.flatnonzero(self._watch.suspects)],

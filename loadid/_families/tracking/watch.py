@@ -180,7 +180,7 @@ class Watch:
         self._hops = np.array(WINDOWS)
         self._take(bank)
         self.light = None if usual.calm is None else Standby(bank, model.LQ, usual.calm, SHARE * FARTHEST * self.most)
-        self.blind = 0  # hops that tell nothing, as cells are missing
+        self.blind, self.unseen = 0, 0  # hops to come that tell nothing, as cells are missing; samples of such so far
         self.asleep, self.calm = False, 0  # hops in a row in which there is nothing to look at
         self.held: ChannelFault | None = None
         self.masked = False  # kept out by the watch; before, by the gate
@@ -404,6 +404,7 @@ class Watch:
             if gone @ harm > SLIGHT:
                 self.blind = max(self.blind, 1 + int(hops[gone > 0].max()))
         blind, self.blind = self.blind > 0, max(self.blind - 1, 0)
+        self.unseen += HOP * blind
         return blind
 
     def _without_spikes(self, Y: Array) -> tuple[Array, Array, Array]:
@@ -685,4 +686,4 @@ ARRAYS = (
     "reached",
 )  # fmt: skip
 NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked", "calm", "asleep",
-           "blind")  # fmt: skip
+           "blind", "unseen")  # fmt: skip
