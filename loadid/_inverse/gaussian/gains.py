@@ -12,9 +12,15 @@ One QR factorisation of a small matrix for each sample, without differences of l
     [ lam I     0       ]  =  Q  [ 0       Gamma_k ]
     [ Gamma G   Gamma F ]        [ 0       0       ]
 
-Where the matrices do not change the gains settle (`compiled.settled`), and the recursion ends. Kailath, Sayed &
-Hassibi, Linear Estimation, Prentice Hall 2000, ch. 12, for the array form; Anderson & Moore, Optimal Control, 1990, for
-the problem.
+Where the matrices do not change the gains settle (`compiled.settled`), and the recursion ends. From the end of a record
+up to where they change first, the cost only grows, by r = min(m, n) squares a sample, and these alone are carried
+(Chandrasekhar's equations in array form: P_k - P_{k+1} = L_k L_k^T):
+
+    [ M^1/2     M^1/2 K   ]  k+1       [ M^1/2   M^1/2 K ]  k
+    [ L^T G     L^T F     ]       = Q  [ 0       L^T     ]
+
+Kailath, Sayed & Hassibi, Linear Estimation, Prentice Hall 2000, ch. 11 and 12, for both; Anderson & Moore, Optimal
+Control, 1990, for the problem.
 """
 
 from __future__ import annotations
@@ -24,11 +30,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import KEPT, Compiled, begin, multiply, settled, subtract
+from .compiled import KEPT, NEAR, SETTLED, Compiled, arrival, begin, decay, multiply, settled, subtract
 from .record import WhitenedRecord
 from .roots import Array
 
 SPARE = 4  # rows by which a root may grow
+ROOM = 1 << 22  # numbers of distinct gains that room is made for at first; what is not used takes none
 
 
 def spare(m: int) -> int:
@@ -40,8 +47,8 @@ def spare(m: int) -> int:
 def step(
     at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, lam: float,
     root: Array, height: int, stack: Array, K: Array, R: Array,
-) -> int:  # fmt: skip
-    """Overwrite the root by that of the sample before, fill its gains; rows of the new root.
+) -> tuple[int, float]:  # fmt: skip
+    """Overwrite the root by that of the sample before, fill its gains; rows of the new root, ln det M.
 
     Parameters
     ----------
@@ -80,15 +87,7 @@ def step(
     for c in range(n):
         for i in range(height):
             root[c, i] = stack[p + c, p + i]
-    for i in range(p - 1, -1, -1):
-        for c in range(n):
-            total = stack[p + c, i]
-            for q in range(i + 1, p):
-                total -= stack[q, i] * K[q, c]
-            K[i, c] = total / stack[i, i]
-        for q in range(p):
-            R[i, q] = stack[q, i] if q >= i else 0.0
-    return height
+    return height, _gain(stack, K, R)
 
 
 @Compiled
@@ -143,8 +142,6 @@ class Gains:
         Upper triangular factors, M = R^T R.
     which : array of int, shape (samples,)
         Row of each sample.
-    root : array, shape (n, n)
-        Factor of the cost of the initial state, P_0 = root^T root.
     logdet : float
         ln det of the precision of inputs and free states together, that is of (H^T H + lam^2 L^T L).
     start : array, shape (free, free)
@@ -155,56 +152,146 @@ class Gains:
     K: Array
     R: Array
     which: NDArray[np.int32]
-    root: Array
     logdet: float
     start: Array
 
 
 def gains(record: WhitenedRecord, lam: float) -> Gains:
     """Gains of a record at one absolute lambda."""
-    rows = 4096
+    n, p, samples, last = record.n, record.p, record.samples, _last_run(record.kind)
+    D, C = record.D[record.kind[-1]], record.C[record.kind[-1]]
+    begun = np.linalg.qr(np.block([[D, C], [lam * np.eye(p), np.zeros((p, n))]]), mode="r")
+    columns = np.arange(n) if last < samples else record.free  # of the root, that are asked for
+    rows = min(max(ROOM // (p * n), 4096), samples)
     while True:
-        rows = min(rows, record.samples)
-        K, R = np.empty((rows, record.p, record.n)), np.empty((rows, record.p, record.p))
-        which = np.empty(record.samples, np.int32)
-        used, root, logdet = _recursion(
-            *record.entries, record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
-            record.stride, spare(record.m),
+        K, R, which = np.empty((rows, p, n)), np.empty((rows, p, p)), np.empty(samples, np.int32)
+        grown = np.empty((min(rows, last) if len(columns) else 0, len(begun) - p, len(columns)))
+        used, logdet = _chandrasekhar(
+            *record.entries, record.F, record.G, record.kind[-1], last, begun, K, R, which, columns, grown,
+            record.stride,
         )  # fmt: skip
+        grown = grown[:used]
+        root = np.linalg.qr(grown.reshape(grown.shape[0] * grown.shape[1], len(columns)), mode="r")
+        if used <= rows and last < samples:
+            used, logdet, root = _recursion(
+                *record.entries, record.F, record.G, record.C, record.D, record.kind, float(lam), K, R, which,
+                record.stride, spare(record.m), samples - last, root, used, logdet,
+            )  # fmt: skip
+            root = root[:, record.free]
         if used <= rows:
             break
-        rows *= 4
-    square = np.asarray(np.linalg.qr(root, mode="r"))
-    root = np.vstack([square, np.zeros((record.n - len(square), record.n))])
+        rows = min(4 * rows, samples)
     start = np.zeros((0, 0))
     if len(record.free):
         from scipy.linalg import solve_triangular
 
-        corner = np.linalg.qr(root[:, record.free], mode="r")
+        corner = np.linalg.qr(root, mode="r")
         start = solve_triangular(corner, np.eye(len(corner)))
         logdet += 2 * float(np.sum(np.log(np.abs(np.diag(corner)))))
-    return Gains(float(lam), K[:used], R[:used], which, root, logdet, start)
+    return Gains(float(lam), K[:used], R[:used], which, logdet, start)
+
+
+def _last_run(kind: NDArray[np.int32]) -> int:
+    """Samples at the end of a record that are all of one kind."""
+    changes = np.flatnonzero(np.diff(kind))
+    return len(kind) - (int(changes[-1]) + 1 if len(changes) else 0)
 
 
 def feedback(record: WhitenedRecord, K: Array | None = None) -> Gains:
     """One feedback for all samples (default none), with M = I: for passes that solve nothing."""
     p = record.p
     K = np.zeros((p, record.n)) if K is None else K
-    return Gains(0.0, K[None], np.eye(p)[None], np.zeros(record.samples, np.int32), np.empty(0), 0.0, np.zeros((0, 0)))
+    return Gains(0.0, K[None], np.eye(p)[None], np.zeros(record.samples, np.int32), 0.0, np.zeros((0, 0)))
+
+
+@Compiled
+def _chandrasekhar(
+    at: Array, entries: Array, F: Array, G: Array, kind: int, count: int, begun: Array,
+    K: Array, R: Array, which: Array, columns: Array, grown: Array, stride: int,
+) -> tuple[int, float]:  # fmt: skip
+    """Fill the last `count` of K, R and which, and the rows by which the root grows; rows used, sum ln M.
+
+    `begun` is the triangular factor of the last sample, (p + r, p + n); `grown` (rows, r, columns) has some columns.
+    """
+    n, p, r, samples = F.shape[1], G.shape[2], len(begun) - G.shape[2], len(which)
+    F, G, entries = F[kind], G[kind], entries[kind]
+    A, L = np.ascontiguousarray(begun.T), np.empty((n, r))
+    cost, before, logdet, last, arrives = np.zeros(n), np.zeros(n), 0.0, 0.0, -1
+    closed, right, work = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
+    for row in range(count):
+        if row == len(K):
+            return row + 1, logdet
+        if row > 0:
+            A[:, p:] = 0.0
+            for c in range(p):
+                for h in range(n):
+                    g = G[h, c]
+                    for i in range(r):
+                        A[c, p + i] += g * L[h, i]
+            for e in range(at.shape[1]):
+                c, h, f = p + at[1, e], at[0, e], entries[e]
+                for i in range(r):
+                    A[c, p + i] += f * L[h, i]
+            _eliminate(A, p + r, p)
+        for c in range(n):
+            for i in range(r):
+                L[c, i] = A[p + c, p + i]
+                cost[c] += L[c, i] ** 2
+        if len(grown):
+            for i in range(r):
+                for c in range(len(columns)):
+                    grown[row, i, c] = L[columns[c], i]
+        last = _gain(A, K[row], R[row])
+        which[samples - 1 - row] = row
+        logdet += last
+        if (row + 1) % stride != 0:
+            continue
+        change = 0.0  # of the cost, relative for each state: no answer depends on the units of a state
+        for c in range(n):
+            if cost[c] > 0.0:
+                change = max(change, (cost[c] - before[c]) / cost[c])
+            before[c] = cost[c]
+        if arrives < 0 and change <= NEAR:
+            multiply(G, K[row], closed)
+            subtract(F, closed, closed)
+            arrives = arrival(row, change, 1.0, decay(closed, right, work), samples)
+        if change <= SETTLED or 0 <= arrives <= row:
+            which[samples - count : samples - row] = row
+            return row + 1, logdet + last * (count - row - 1)
+    return count, logdet
+
+
+@Compiled
+def _gain(A: Array, K: Array, R: Array) -> float:
+    """Fill K and R from the eliminated columns of the inputs of a matrix whose transpose is A; ln det M."""
+    p, logdet = len(R), 0.0
+    for i in range(p - 1, -1, -1):
+        for c in range(K.shape[1]):
+            total = A[p + c, i]
+            for q in range(i + 1, p):
+                total -= A[q, i] * K[q, c]
+            K[i, c] = total / A[i, i]
+        for q in range(p):
+            R[i, q] = A[q, i] if q >= i else 0.0
+        logdet += 2.0 * np.log(abs(A[i, i]))
+    return logdet
 
 
 @Compiled
 def _recursion(
     at: Array, entries: Array, F: Array, G: Array, C: Array, D: Array, kind: Array, lam: float,
-    K: Array, R: Array, which: Array, stride: int, spare: int,
-) -> tuple[int, Array, float]:  # fmt: skip
-    """Fill K, R and which from the end; rows used (one more than there are if they do not suffice), root, sum ln M."""
+    K: Array, R: Array, which: Array, stride: int, spare: int, end: int, begun: Array, used: int, logdet: float,
+) -> tuple[int, float, Array]:  # fmt: skip
+    """Fill K, R and which before `end`; rows used (one more than there are if they do not suffice), sum ln M, root."""
     n, p, m = F.shape[1], G.shape[2], C.shape[1]
-    stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), n
+    stack, root, height = np.zeros((p + n, m + p + n + spare)), np.zeros((n, n + spare + 1)), len(begun)
     closed, right, work, weight = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    row, logdet, last, steady, since, kept = -1, 0.0, 0.0, False, 0, np.empty(KEPT)
+    row, last, steady, since, kept = used - 1, 0.0, False, 0, np.empty(KEPT)
+    for i in range(height):
+        for c in range(n):
+            root[c, i] = begun[i, c]
     begin(kept)
-    for k in range(len(kind) - 1, -1, -1):
+    for k in range(end - 1, -1, -1):
         j = kind[k]
         if k + 1 < len(kind) and j != kind[k + 1]:
             steady, since = False, 0
@@ -215,11 +302,9 @@ def _recursion(
             continue
         row += 1
         if row == len(K):
-            return row + 1, root[:, :height].T, logdet
-        height = step(at, entries[j], F[j], G[j], C[j], D[j], lam, root, height, stack, K[row], R[row])
-        which[k], last = row, 0.0
-        for i in range(p):
-            last += 2.0 * np.log(abs(R[row, i, i]))
+            return row + 1, logdet, root[:, :height].T
+        height, last = step(at, entries[j], F[j], G[j], C[j], D[j], lam, root, height, stack, K[row], R[row])
+        which[k] = row
         logdet += last
         since += 1
         if since <= stride or since % stride != 0:
@@ -237,4 +322,4 @@ def _recursion(
         multiply(G[j], K[row], closed)
         subtract(F[j], closed, closed)
         steady = settled(kept, since, stride, change, size, closed, right, work, len(kind))
-    return row + 1, root[:, :height].T, logdet
+    return row + 1, logdet, root[:, :height].T

@@ -312,10 +312,12 @@ def refined(record: WhitenedRecord, gains: Gains, first: Solved) -> Solved:
     return Solved(first.inputs + w, first.load + g, first.response + response, first.start + start, first.value)
 
 
-def backward(record: WhitenedRecord, gains: Gains, y: Array, a: Array | None) -> tuple[Array, Array, float]:
-    """Drive u (samples, p), v at the first sample, and the sum of s^T u."""
+def backward(
+    record: WhitenedRecord, gains: Gains, y: Array, a: Array | None, last: Array | None = None
+) -> tuple[Array, Array, float]:
+    """Drive u (samples, p), v at the first sample, and the sum of s^T u; `last` is v after the last sample."""
     y, a = np.ascontiguousarray(y, float), None if a is None else np.ascontiguousarray(a, float)
-    u, v, value = np.empty((record.samples, record.p)), np.zeros(record.n), 0.0
+    u, v, value = np.empty((record.samples, record.p)), np.zeros(record.n) if last is None else last, 0.0
     for first, length, steady in reversed(runs(record, gains)):
         part = slice(first, first + length)
         data = y[part], None if a is None else a[part]

@@ -8,7 +8,7 @@ have settled the rest of a run is counted, not computed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -31,7 +31,7 @@ from .compiled import (
     subtract,
 )
 from .gains import Gains, feedback, gains
-from .passes import Solved, forward, solve
+from .passes import Solved, backward, forward, solve
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -60,6 +60,8 @@ def variances(
 ) -> LoadVariances:
     """Variances of every sample, or their sum alone; of the loads, or of combinations (any, p) of those of a sample."""
     read = np.eye(record.p) if combined is None else np.ascontiguousarray(combined, float)
+    if _is_cheap(record, gains):
+        return _displaced(record, gains, every_sample, read)
     X = np.zeros((record.n, record.n))
     if len(record.free):
         X[np.ix_(record.free, record.free)] = gains.start @ gains.start.T
@@ -69,6 +71,53 @@ def variances(
         every_sample, record.stride,
     )  # fmt: skip
     return LoadVariances(variance if every_sample else None, float(trace), float(gains.lam**2 * penalty))
+
+
+def _is_cheap(record: WhitenedRecord, gains: Gains) -> bool:
+    """Whether the passes of `_displaced` cost less than the recursion; they need one kind of sample."""
+    fewer = 2 * record.m + record.p + len(record.free) < record.n and 1 < record.samples < len(gains.K) * record.n
+    return fewer and bool(np.all(record.kind == record.kind[0]))
+
+
+def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: Array) -> LoadVariances:
+    """Variances of a record whose samples are all of one kind, by some passes.
+
+    With W the covariance of the inputs from a known start and Z the shift by a sample, W - Z W Z^T is a sum of p + m
+    squares (`_columns`), and the variances are running sums of these; loads are filtered inputs, with which Z commutes.
+    Kailath, Kung & Morf, J. Math. Anal. Appl. 68 (1979) 395, for the displacement of an inverse.
+    """
+    trace, penalty, variance = 0.0, 0.0, np.zeros((record.samples if every_sample else 1, len(read)))
+    for inputs, load, stays in _columns(record, gains):
+        square, times = (load @ read.T) ** 2, np.arange(len(load), 0, -1.0)[:, None] if stays else 1.0
+        trace += float(np.sum(times * square))
+        penalty += float(np.sum(times * inputs**2))
+        if every_sample:
+            variance[record.samples - len(load) :] += np.cumsum(square, axis=0) if stays else square
+    return LoadVariances(variance if every_sample else None, trace, float(gains.lam**2 * penalty))
+
+
+def _columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Array, bool]]:
+    """Inputs and loads whose squares make the variances, up to the last sample, and whether they stay in later ones.
+
+    The closed loop's response to the first input; what one more datum at the end would have told of the inputs before
+    it; and, for its own sample alone, the response to what is not known of the start.
+    """
+    from scipy.linalg import solve_triangular
+
+    n, p, m, still = record.n, record.p, record.m, np.zeros((record.samples, record.p))
+    for first in np.linalg.solve(gains.R[gains.which[0]], np.eye(p)).T:
+        yield *forward(record, gains, np.vstack([first, still[1:]]), np.zeros(n))[:2], True
+    short, fewer = replace(record, kind=record.kind[1:], y=record.y[1:]), replace(gains, which=gains.which[1:])
+    C, D = record.C[record.kind[0]], record.D[record.kind[0]]
+    told = np.array([backward(short, fewer, np.zeros((len(short.y), m)), None, last)[0] for last in C])
+    scaled = np.einsum("kab,ikb->ika", gains.R[fewer.which], told, optimize=True).reshape(m, -1)
+    root = np.linalg.cholesky(np.eye(m) + D @ D.T / gains.lam**2 + scaled @ scaled.T)
+    for drive in solve_triangular(root, told.reshape(m, -1), lower=True).reshape(told.shape):
+        yield *forward(short, fewer, drive, np.zeros(n))[:2], True
+    for start in gains.start.T:
+        state = np.zeros(n)
+        state[record.free] = start
+        yield *forward(record, gains, still, state)[:2], False
 
 
 @Compiled
