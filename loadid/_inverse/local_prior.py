@@ -27,7 +27,7 @@ import numpy as np
 from structures.errors import InputError
 
 from .gaussian.gains import feedback
-from .gaussian.local_variance import Smoother, SmootherPass, Variances
+from .gaussian.local_variance import Smoother, SmootherPass, Variances, smoothed
 from .gaussian.passes import forward
 from .gaussian.record import WhitenedRecord
 from .gaussian.roots import Array
@@ -176,7 +176,7 @@ class StationaryPrior:
 
     def freedom(self) -> float:
         """Effective degrees of freedom of the load."""
-        return float(np.sum(self.given.load * Smoother(self.record, self.given, loads=False).smooth().rho_variance))
+        return float(np.sum(self.given.load * smoothed(self.record, self.given).rho_variance))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -400,7 +400,7 @@ class Fit:
         """Update until the evidence gains no more; the last pass, whose variances are kept."""
         before = -np.inf
         for step in range(most + 1):
-            s = Smoother(self.record, self.variances(), loads=False).smooth()
+            s = smoothed(self.record, self.variances())
             self.evidence = s.evidence if np.isfinite(s.evidence) else -np.inf
             if step == most or (not self.evidence - before >= GAIN and step > 2):
                 break

@@ -14,12 +14,16 @@ T' and G' lie together in memory, so that every inner loop is a sum of rows; F g
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from .compiled import Compiled, multiply, multiply_by_transposed
+from .gains import gains
+from .passes import solve
+from .posterior import columns
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -313,22 +317,81 @@ class SmootherPass:
     evidence : float
         Log likelihood of the whitened data.
     load : array, shape (samples, p)
-    rho, rho_variance : array, shape (samples, p)
+    rho : array, shape (samples, p)
         ``d evidence / d v = (rho^2 - rho_variance) / 2``.
-    e, e_variance : array, shape (samples, m)
+    e : array, shape (samples, m)
         The same of the noise; the smoothed noise is its variance times e.
-    start, start_information : array, shapes (n,), (n, n)
+    start : array, shape (n,)
         The same of the first state.
+    information : callable
+        Gives `rho_variance` (samples, p), `e_variance` (samples, m) and `start_information` (n, n), when they are
+        asked for.
     """
 
     evidence: float
     load: Array
     rho: Array
-    rho_variance: Array
     e: Array
-    e_variance: Array
     start: Array
-    start_information: Array
+    information: Callable[[], tuple[Array, Array, Array]]
+
+    @cached_property
+    def _told(self) -> tuple[Array, Array, Array]:
+        return self.information()
+
+    @property
+    def rho_variance(self) -> Array:
+        """Of rho, (samples, p)."""
+        return self._told[0]
+
+    @property
+    def e_variance(self) -> Array:
+        """Of e, (samples, m)."""
+        return self._told[1]
+
+    @property
+    def start_information(self) -> Array:
+        """Of the first state, (n, n)."""
+        return self._told[2]
+
+
+def smoothed(record: WhitenedRecord, given: Variances) -> SmootherPass:
+    """One pass for the score of the variances, its loads without a memory of theirs.
+
+    Where nothing changes with time it is that of a least-squares problem (`gains`), a small part of the work.
+    """
+    still = not given.start.any() and not any(np.ptp(x, axis=0).any() for x in (given.load, given.noise, record.kind))
+    if still and 2 * record.m + record.p < record.n and record.samples > 1:
+        return _stationary(record, given.load[0], given.noise[0])
+    return Smoother(record, given, loads=False).smooth()
+
+
+def _stationary(record: WhitenedRecord, v: Array, r: Array) -> SmootherPass:
+    """With variances v (p,) of the inputs and r (m,) of the noise, from rest."""
+    s, q = np.sqrt(v), 1 / np.sqrt(r)
+    unit = replace(
+        record, G=record.G * s, C=record.C * q[:, None], D=q[:, None] * record.D * s, E=np.zeros_like(record.E),
+        y=record.y * q, free=record.free[:0],
+    )  # fmt: skip
+    held = gains(unit, 1.0)
+    solved = solve(unit, held)
+    rest = unit.y - solved.response
+    shown = np.any(record.C[record.kind[0]] != 0, axis=1) | np.any(record.D[record.kind[0]] != 0, axis=1)
+    logdet = held.logdet + record.samples * float(np.sum(np.log(r[shown])))
+    squares = float(np.sum(rest**2) + np.sum(solved.inputs**2))
+
+    def information() -> tuple[Array, Array, Array]:
+        """What the data tell: unit variances less those that are left."""
+        of_inputs, of_response = np.ones((record.samples, record.p)), np.ones((record.samples, record.m))
+        for inputs, _, response, _ in columns(unit, held):
+            of_inputs[-len(inputs) :] -= np.cumsum(inputs**2, axis=0)
+            of_response[-len(inputs) :] -= np.cumsum(response**2, axis=0)
+        return of_inputs / v, of_response * q**2, np.zeros((record.n, record.n))
+
+    return SmootherPass(
+        -0.5 * (logdet + squares + record.data * np.log(2 * np.pi)), solved.inputs * s, solved.inputs / s, rest * q,
+        np.zeros(record.n), information,
+    )  # fmt: skip
 
 
 class Smoother:
@@ -376,8 +439,7 @@ class Smoother:
         """Everything that an update of the variances asks."""
         squares, load, rho, e, first = self.means(self.record.y)
         evidence = -0.5 * (self._logdet + squares + self.record.data * np.log(2 * np.pi))
-        rho_variance, e_variance, information = self._information(self._v[:0])
-        return SmootherPass(evidence, load, rho, rho_variance, e, e_variance, first, information)
+        return SmootherPass(evidence, load, rho, e, first, partial(self._information, self._v[:0]))
 
     @cached_property
     def variance(self) -> Array:

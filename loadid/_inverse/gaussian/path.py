@@ -74,7 +74,7 @@ def root_of_largest(normal: Callable[[Array], Array], count: int) -> float:
         return size
     # the operator is scaled to order one: the solver's own tolerances know no units
     operator = LinearOperator((count, count), matvec=lambda w: normal(w) / size, dtype=float)
-    top = eigsh(operator, k=1, v0=reach / size, tol=1e-9, return_eigenvectors=False)
+    top = eigsh(operator, k=1, v0=reach / size, tol=1e-6, return_eigenvectors=False)
     return float(np.sqrt(size * max(float(top[0]), 0.0)))
 
 

@@ -83,11 +83,11 @@ def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: A
     """Variances of a record whose samples are all of one kind, by some passes.
 
     With W the covariance of the inputs from a known start and Z the shift by a sample, W - Z W Z^T is a sum of p + m
-    squares (`_columns`), and the variances are running sums of these; loads are filtered inputs, with which Z commutes.
+    squares (`columns`), and the variances are running sums of these; loads are filtered inputs, with which Z commutes.
     Kailath, Kung & Morf, J. Math. Anal. Appl. 68 (1979) 395, for the displacement of an inverse.
     """
     trace, penalty, variance = 0.0, 0.0, np.zeros((record.samples if every_sample else 1, len(read)))
-    for inputs, load, stays in _columns(record, gains):
+    for inputs, load, _, stays in columns(record, gains):
         square, times = (load @ read.T) ** 2, np.arange(len(load), 0, -1.0)[:, None] if stays else 1.0
         trace += float(np.sum(times * square))
         penalty += float(np.sum(times * inputs**2))
@@ -96,8 +96,8 @@ def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: A
     return LoadVariances(variance if every_sample else None, trace, float(gains.lam**2 * penalty))
 
 
-def _columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Array, bool]]:
-    """Inputs and loads whose squares make the variances, up to the last sample, and whether they stay in later ones.
+def columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Array, Array, bool]]:
+    """Inputs, loads and responses whose squares make the variances, up to the last sample; whether they stay in later.
 
     The closed loop's response to the first input; what one more datum at the end would have told of the inputs before
     it; and, for its own sample alone, the response to what is not known of the start.
@@ -106,18 +106,18 @@ def _columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Arra
 
     n, p, m, still = record.n, record.p, record.m, np.zeros((record.samples, record.p))
     for first in np.linalg.solve(gains.R[gains.which[0]], np.eye(p)).T:
-        yield *forward(record, gains, np.vstack([first, still[1:]]), np.zeros(n))[:2], True
+        yield *forward(record, gains, np.vstack([first, still[1:]]), np.zeros(n)), True
     short, fewer = replace(record, kind=record.kind[1:], y=record.y[1:]), replace(gains, which=gains.which[1:])
     C, D = record.C[record.kind[0]], record.D[record.kind[0]]
     told = np.array([backward(short, fewer, np.zeros((len(short.y), m)), None, last)[0] for last in C])
     scaled = np.einsum("kab,ikb->ika", gains.R[fewer.which], told, optimize=True).reshape(m, -1)
     root = np.linalg.cholesky(np.eye(m) + D @ D.T / gains.lam**2 + scaled @ scaled.T)
     for drive in solve_triangular(root, told.reshape(m, -1), lower=True).reshape(told.shape):
-        yield *forward(short, fewer, drive, np.zeros(n))[:2], True
+        yield *forward(short, fewer, drive, np.zeros(n)), True
     for start in gains.start.T:
         state = np.zeros(n)
         state[record.free] = start
-        yield *forward(record, gains, still, state)[:2], False
+        yield *forward(record, gains, still, state), False
 
 
 @Compiled

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from loadid._inverse.gaussian.local_variance import Smoother, Variances
+from loadid._inverse.gaussian.local_variance import Smoother, Variances, smoothed
 from loadid._inverse.gaussian.path import StateSpacePath
 from loadid._inverse.gaussian.record import WhitenedRecord, augment, measured
 from loadid._inverse.local_prior import (
@@ -121,6 +121,21 @@ def test_the_score_is_the_slope_of_the_evidence(memory: float) -> None:
     for name, places in {"load": [(5, 0), (40, 1), (59, 0)], "noise": [(31, 0), (45, 2)], "start": [(0, 0)]}.items():
         for at in places:
             assert slope(name, at) == pytest.approx(0.5 * scores[name][at], rel=1e-4)
+
+
+@pytest.mark.parametrize("memory", [0.0, 3.5])
+def test_a_constant_variance_has_the_pass_of_any_other(memory: float) -> None:
+    """From rest, where nothing changes with time: by least squares, and by the smoother of all variances."""
+    own, _ = random_record(memory, gaps=False)
+    v, r = np.tile([0.7, 2e-3], (SAMPLES, 1)), np.tile([0.5, 1.5, 3.0], (SAMPLES, 1))
+    given = Variances(v, r, np.zeros((own.n, own.n)))
+    one, other = smoothed(own, given), Smoother(own, given, loads=False).smooth()
+    assert one.evidence == pytest.approx(other.evidence, rel=1e-10)
+    for name in ("load", "rho", "e", "rho_variance", "e_variance"):
+        expected = getattr(other, name)
+        np.testing.assert_allclose(
+            getattr(one, name), expected, rtol=0, atol=1e-8 * np.abs(expected).max(), err_msg=name
+        )
 
 
 def test_a_constant_variance_is_tikhonov() -> None:
