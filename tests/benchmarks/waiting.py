@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, Noise, SparseDeconvolution, StaticInversion
+from loadid import Deconvolution, LocationSearch, Noise, SparseDeconvolution, StaticInversion, recommend
 from loadid._commands import demo
 from loadid.cli import main as command
 from loadid.constraints import NonNegative
@@ -232,6 +232,44 @@ def million() -> tuple[Job, Other]:
     return job, other
 
 
+@cache
+def struck() -> tuple[ForwardModel, float]:
+    """A cantilever with one accelerometer, and the step of its records."""
+    structure = beams.cantilever(elements=12, damping=damping.Modal(0.01), length=1.5, EI=800.0, mass_per_length=3.0)
+    return ForwardModel(structure, [sensors.Accelerometer("12+Z")], [loads.Point("12+Z", label="hit")], modes=8), 1e-4
+
+
+def hit(k: int) -> Array:
+    """Its record of 4000 samples, one hit, 2 % noise."""
+    model, dt = struck()
+    return noisy(model.predict(hits(4000, k), dt), k)
+
+
+def located() -> tuple[Job, Other]:
+    """README's search for the place, beside one estimate at one place."""
+    model, dt = struck()
+    search = LocationSearch(model.with_loads([loads.Point(at=x) for x in (0.6, 0.9, 1.2, 1.5)]))
+    return (lambda k: search.estimate(hit(k), dt)), lambda k, found: Deconvolution(model).estimate(hit(k), dt)
+
+
+def recommended() -> tuple[Job, Other]:
+    """Which of the priors fits, beside one of the fits that it compares."""
+    model, dt = struck()
+    one = SparseDeconvolution(model, dictionary="bspline")
+    return (lambda k: recommend(model, hit(k), dt)), lambda k, found: one.estimate(hit(k), dt)
+
+
+def million_by_three() -> tuple[Job, None]:
+    """1e6 samples, three accelerometers, 14 modes, rules and std, sigma stated; LSQR had not ended after ten minutes."""
+    model, dt, n = long_beam(), 1e-4, 1_000_000
+    clean = model.predict(hits(n, 0), dt)
+    sigma = 0.05 * np.std(clean, axis=0)
+    inversion = Deconvolution(model, noise=Noise(sigma))
+    return (
+        lambda k: inversion.estimate(clean + sigma * np.random.default_rng(k).standard_normal(clean.shape), dt)
+    ), None
+
+
 JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "demo": (demonstration, "loadid demo", ""),
     "demo estimate": (simulated_demo, "its estimate, 3 x 6000", "LSQR over FFTs, one lambda"),
@@ -243,7 +281,10 @@ JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "pressing, small": (lambda: pressing(6, 3, False), "the same, 6 x 3", "SciPy nnls, that lambda"),
     "pushes": (pushes, "4000 samples, only pushes", "LSQR over FFTs, that lambda, no sign"),
     "spikes": (spikes, "4000 samples, sparse", ""),
+    "location": (located, "4000 samples, place of one hit", "one estimate at one place"),
+    "recommend": (recommended, "4000 samples, which prior", "one sparse estimate"),
     "million": (million, "1e6 samples, 12 states", "LSQR over FFTs, that lambda"),
+    "million, three": (million_by_three, "3 x 1e6 samples, 28 states", ""),
 }
 
 

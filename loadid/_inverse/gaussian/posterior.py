@@ -75,8 +75,9 @@ def variances(
 
 def _is_cheap(record: WhitenedRecord, gains: Gains) -> bool:
     """Whether the passes of `_displaced` cost less than the recursion; they need one kind of sample."""
-    fewer = 2 * record.m + record.p + len(record.free) < record.n and 1 < record.samples < len(gains.K) * record.n
-    return fewer and bool(np.all(record.kind == record.kind[0]))
+    passes = 2 * record.m + record.p + len(record.free)
+    fewer = passes < record.n and record.samples * passes < 4 * len(gains.K) * record.n  # measured
+    return fewer and record.samples > 1 and bool(np.all(record.kind == record.kind[0]))
 
 
 def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: Array) -> LoadVariances:
