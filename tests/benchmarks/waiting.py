@@ -260,7 +260,7 @@ def recommended() -> tuple[Job, Other]:
 
 
 def million_by_three() -> tuple[Job, None]:
-    """1e6 samples, three accelerometers, 14 modes, rules and std, sigma stated; LSQR had not ended after ten minutes."""
+    """1e6 samples, three accelerometers, 14 modes, rules and std, sigma stated; LSQR takes over ten minutes."""
     model, dt, n = long_beam(), 1e-4, 1_000_000
     clean = model.predict(hits(n, 0), dt)
     sigma = 0.05 * np.std(clean, axis=0)
