@@ -201,8 +201,8 @@ def planned(folder: Path) -> None:
         print(f"plan of {count} records of 100 assets, {words}: {run.stdout.strip()}")
 
 
-def simulated(folder: Path) -> None:
-    """A day of 500 assets at 100 Hz: one file under 500 names, as bytes of one day are like those of another."""
+def simulated(folder: Path, days: int) -> None:
+    """A day of 500 assets at 100 Hz, some of them run: one file under 500 names, as one day's bytes are like another's."""
     place, samples = folder / "fleet", 8_640_000
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
@@ -228,22 +228,23 @@ def simulated(folder: Path) -> None:
     times = [(line["seconds"], "piece" if "span" in line else "first") for line in ledger(place)]
     print("; ".join(f"{kind} {seconds:.2f} s" for seconds, kind in times))
     few = path.replace("plan.toml", "few.toml")
-    Path(few).write_text(Path(path).read_text().split('[[asset]]\nname = "b004"')[0].replace('"out"', '"few"'))
+    Path(few).write_text(Path(path).read_text().split(f'[[asset]]\nname = "b{days:03}"')[0].replace('"out"', '"few"'))
     begun, command[4] = time.monotonic(), few
     said = subprocess.run(command, check=True, capture_output=True, text=True)
-    print(f"4 of these days run: {time.monotonic() - begun:.0f} s; {said.stdout.splitlines()[0]}")
+    print(f"{days} of these days run: {time.monotonic() - begun:.0f} s; {said.stdout.splitlines()[0]}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("speed", "overhead", "kills", "plan", "fleet"))
-    parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--runs", type=int, default=50, help="of kills")
+    parser.add_argument("--days", type=int, default=25, help="of fleet that are run (25 are 5 %%)")
     parser.add_argument("--folder", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.folder or Path(temporary)
         for name, part in (("speed", speed), ("overhead", overhead), ("kills", lambda f: kills(f, args.runs)),
-                           ("plan", planned), ("fleet", simulated)):  # fmt: skip
+                           ("plan", planned), ("fleet", lambda f: simulated(f, args.days))):  # fmt: skip
             if args.only in (None, name):
                 part(folder)
 
