@@ -202,7 +202,7 @@ def planned(folder: Path) -> None:
 
 
 def simulated(folder: Path, days: int) -> None:
-    """A day of 500 assets at 100 Hz, some of them run: one file under 500 names, as one day's bytes are like another's."""
+    """A day of 500 assets at 100 Hz, some of them run: one file under 500 names, as days are alike in their bytes."""
     place, samples = folder / "fleet", 8_640_000
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
