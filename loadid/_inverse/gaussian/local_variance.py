@@ -20,7 +20,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from .compiled import Compiled, multiply, multiply_by_transposed
+from .compiled import Compiled, dot, multiply, multiply_by_transposed
 from .gains import gains
 from .passes import solve
 from .posterior import columns
@@ -77,15 +77,6 @@ def _inverse(S: Array, L: Array, out: Array) -> float:
                 total -= L[k, i] * out[k, c]
             out[i, c] = total / L[i, i]
     return logdet
-
-
-@Compiled
-def _dot(a: Array, b: Array) -> float:
-    """Sum of products."""
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
 
 
 @Compiled
@@ -159,9 +150,9 @@ def _means(
     for k in range(len(kind)):
         j = kind[k]
         for a in range(m):
-            nu[a] = y[k, a] - _dot(C[j, a], x)
+            nu[a] = y[k, a] - dot(C[j, a], x)
         for c in range(q):
-            load[k, c] = _dot(E[c], x)
+            load[k, c] = dot(E[c], x)
         for a in range(m):
             e[k, a] = 0.0
             for b in range(m):
@@ -178,9 +169,9 @@ def _means(
     for k in range(len(kind) - 1, -1, -1):
         j = kind[k]
         for a in range(m):
-            e[k, a] -= _dot(gains[k, a], r)
+            e[k, a] -= dot(gains[k, a], r)
         for c in range(p):
-            rho[k, c] = _dot(Gt[j, c], r)
+            rho[k, c] = dot(Gt[j, c], r)
             for a in range(m):
                 rho[k, c] += D[j, a, c] * e[k, a]
         moved[:] = 0.0
@@ -192,7 +183,7 @@ def _means(
                 r[i] += C[j, a, i] * e[k, a]
         for c in range(p):
             own = v[k, c] * rho[k, c]
-            load[k, c] = own if q == 0 else load[k, c] + own + _dot(reads[k, c], r)
+            load[k, c] = own if q == 0 else load[k, c] + own + dot(reads[k, c], r)
     return squares
 
 
@@ -223,7 +214,7 @@ def _information(
         for a in range(m):
             noise[k, a] = Z[a, a]
         for c in range(p):
-            Q[k, c] = _dot(NW[c], W[c])
+            Q[k, c] = dot(NW[c], W[c])
             for a in range(m):
                 Q[k, c] += D[j, a, c] * alone[a, c]
         U[:] = 0.0
@@ -245,11 +236,11 @@ def _information(
                 for i in range(len(rows)):
                     cross[columns[i]] += values[j, i] * NW[c, rows[i]]
                 for a in range(m):
-                    one = alone[a, c] - _dot(K[a], NW[c])
+                    one = alone[a, c] - dot(K[a], NW[c])
                     for i in range(n):
                         cross[i] += one * C[j, a, i]
                 multiply(reads[k, c : c + 1], N, told)
-                variance[k, c] -= _dot(told[0], reads[k, c]) + 2.0 * v[k, c] * _dot(cross, reads[k, c])
+                variance[k, c] -= dot(told[0], reads[k, c]) + 2.0 * v[k, c] * dot(cross, reads[k, c])
 
 
 @Compiled
@@ -276,16 +267,16 @@ def _prior_of(
         r[:] = moved
     moved[:] = 0.0
     for i in range(n):
-        moved[i] = _dot(start[i], r)
+        moved[i] = dot(start[i], r)
     r[:] = moved
     for k in range(len(kind)):
         j = kind[k]
         for c in range(p):
-            load[k, c] = u[k, c] + _dot(E[c], r)
+            load[k, c] = u[k, c] + dot(E[c], r)
         for a in range(m):
-            response[k, a] = _dot(C[j, a], r) + _dot(D[j, a], u[k])
+            response[k, a] = dot(C[j, a], r) + dot(D[j, a], u[k])
         for i in range(n):
-            moved[i] = _dot(F[j, i], r) + _dot(G[j, i], u[k])
+            moved[i] = dot(F[j, i], r) + dot(G[j, i], u[k])
         r[:] = moved
 
 

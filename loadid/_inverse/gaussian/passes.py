@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .compiled import Compiled
+from .compiled import Compiled, dot
 from .gains import Gains, feedback
 from .record import WhitenedRecord
 from .roots import Array
@@ -177,26 +177,23 @@ def _backward(
 ) -> float:  # fmt: skip
     """Fill u and v; F holds its entries at the places `at` (rows, columns) only. The sum of s^T u."""
     n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
-    s, new, value = np.empty(p), np.empty(n), 0.0
+    s, new, value, Gt = np.empty(p), np.empty(n), 0.0, np.ascontiguousarray(G.transpose(0, 2, 1))
     for k in range(len(kind) - 1, -1, -1):
         j, row = kind[k], which[k]
         for i in range(p):
-            total = a[k, i] if linear else 0.0
-            for q in range(n):
-                total += G[j, q, i] * v[q]
+            s[i] = dot(Gt[j, i], v) + (a[k, i] if linear else 0.0)
             for q in range(m):
-                total += D[j, q, i] * y[k, q]
-            s[i] = total
-        for i in range(n):
-            total = 0.0
-            for q in range(m):
-                total += C[j, q, i] * y[k, q]
-            for q in range(p):
-                total -= K[row, q, i] * s[q]
-            if linear:
-                for q in range(p):
-                    total += E[q, i] * a[k, q]
-            new[i] = total
+                s[i] += D[j, q, i] * y[k, q]
+        new[:] = 0.0
+        for q in range(m):
+            for i in range(n):
+                new[i] += y[k, q] * C[j, q, i]
+        for q in range(p):
+            for i in range(n):
+                new[i] -= s[q] * K[row, q, i]
+        for q in range(p if linear else 0):
+            for i in range(n):
+                new[i] += a[k, q] * E[q, i]
         for e in range(entries):
             new[at[1, e]] += F[j, e] * v[at[0, e]]
         for i in range(n):
@@ -222,28 +219,21 @@ def _forward(
 ) -> None:  # fmt: skip
     """Fill inputs, load and response from the state x at the first sample."""
     n, p, m, entries = G.shape[1], G.shape[2], C.shape[1], at.shape[1]
-    new = np.empty(n)
+    new, any_load = np.empty(n), bool(np.any(E != 0.0))
     for k in range(len(kind)):
         j, row = kind[k], which[k]
         for i in range(p):
-            total, load = u[k, i], 0.0
-            for q in range(n):
-                total -= K[row, i, q] * x[q]
-                load += E[i, q] * x[q]
-            w[k, i] = total
-            g[k, i] = load + total
+            w[k, i] = u[k, i] - dot(K[row, i], x)
+            g[k, i] = dot(E[i], x) + w[k, i] if any_load else w[k, i]
         for i in range(m):
-            total = 0.0
-            for q in range(n):
-                total += C[j, i, q] * x[q]
+            total = dot(C[j, i], x)
             for q in range(p):
                 total += D[j, i, q] * w[k, q]
             r[k, i] = total
-        for i in range(n):
-            total = 0.0
-            for q in range(p):
-                total += G[j, i, q] * w[k, q]
-            new[i] = total
+        new[:] = 0.0
+        for q in range(p):
+            for i in range(n):
+                new[i] += w[k, q] * G[j, i, q]
         for e in range(entries):
             new[at[0, e]] += F[j, e] * x[at[1, e]]
         for i in range(n):
