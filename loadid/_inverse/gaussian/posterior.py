@@ -112,8 +112,8 @@ def columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Array
     C, D = record.C[record.kind[0]], record.D[record.kind[0]]
     told = np.array([backward(short, fewer, np.zeros((len(short.y), m)), None, last)[0] for last in C])
     scaled = np.einsum("kab,ikb->ika", gains.R[fewer.which], told, optimize=True).reshape(m, -1)
-    root = np.linalg.cholesky(np.eye(m) + D @ D.T / gains.lam**2 + scaled @ scaled.T)
-    for drive in solve_triangular(root, told.reshape(m, -1), lower=True).reshape(told.shape):
+    root = np.linalg.qr(np.vstack([np.eye(m), D.T / gains.lam, scaled.T]), mode="r")  # of the datum's own variance
+    for drive in solve_triangular(root, told.reshape(m, -1), trans="T").reshape(told.shape):
         yield *forward(short, fewer, drive, np.zeros(n)), True
     for start in gains.start.T:
         state = np.zeros(n)

@@ -42,14 +42,15 @@ def test_an_estimate_comes_back_from_its_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("start", [False, True])
 @pytest.mark.parametrize("penalty", ["identity", "first_difference", "second_difference"])
 @pytest.mark.parametrize("passes", [False, True])
+@pytest.mark.parametrize("relative", [1e-2, 1e-6])
 def test_variances_are_those_of_the_dense_inverse(
-    passes: bool, penalty: str, start: bool, monkeypatch: pytest.MonkeyPatch
+    relative: float, passes: bool, penalty: str, start: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of samples, of combinations of their loads, and their sums, by the recursion and by passes."""
     monkeypatch.setattr(posterior, "_is_cheap", lambda *_: passes)
     given = case(beam("dsa"), 70, moving=start)
     record, dense = given.record(penalty, given.y, unknown_start=start), given.dense(penalty, unknown_start=start)
-    lam = 1e-2 * float(given.path(penalty, unknown_start=start).scale)
+    lam = relative * float(given.path(penalty, unknown_start=start).scale)
     covariance, (samples, p) = dense.at(lam).covariance, dense.shape
     of_load = covariance[: samples * p, : samples * p].reshape(samples, p, samples, p)
     within = np.array([of_load[k, :, k] for k in range(samples)])
