@@ -12,36 +12,25 @@ import glob
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
-
-import numpy as np
-from numpy.typing import NDArray
 
 from structures.errors import InputError
 
 from .._families.tracking import tracker as checkpoint
 from .._families.tracking.tracker import Tracker
-from .clock import Behind, Clock
-from .framing import Lines
-from .header import ColumnLayout
+from .following import Following, Watch
 from .output import Output, StateLock
 from .sources import ByteSource, open_source
 
 __all__ = ["StreamSummary", "follow", "open_source"]
 
-
-Array = NDArray[np.float64]
-
 EVERY = 5000  # samples from one checkpoint to the next
 SECONDS = 5.0  # and the longest time, where something has come
 LOOK = 0.1  # s that a source is waited for before the clock is looked at
-ROWS = 256  # rows placed in time at once: each may stand for a gap
-Watch = Callable[[Array, Array, Array], None]
 
 
 @dataclass(frozen=True)
@@ -120,7 +109,7 @@ def follow(
         if state is not None and not isinstance(state, StateLock):
             state = held.enter_context(StateLock(state))
         run = held.enter_context(closing(_Run(tracker, source, out, state, stream, units)))
-        return run.go(every, idle, stop or threading.Event(), watch or (lambda times, load, std: None))
+        return run.go(every, idle, stop or threading.Event(), watch)
 
 
 class _Run:
@@ -128,54 +117,32 @@ class _Run:
         self, tracker: Tracker, source: str, out: str | BinaryIO, state: str | os.PathLike[str] | None,
         stream: dict[str, Any] | None, units: Mapping[str, str] | None,
     ) -> None:  # fmt: skip
-        self.tracker, self.state, self.name = tracker, state, source
+        self.state, self.name = state, source
         self.claimed = state is None or stream is not None
-        f = tracker.fitted
         before = stream or {}
-        self.resumed = "clock" in before  # else it says only which output it belongs to
-        self.alarms = bool(before.get("alarms", not self.resumed))  # outputs of 0.1 have no columns of them
-        layout = before.get("layout")
-        self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
-        self.clock = Clock(f.dt, tracker.replay)
-        since = before.get("alarm")
-        self.alarm = None if since is None else (float(since[0]), int(since[1]), int(since[2]))
-        self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later
         same = before.get("source") == _identity(source)
-        heading = before.get("heading")  # of a line whose units may still come
-        if not same or heading:
-            self.lines.another()
-        if self.resumed:
-            self.lines.counts.update(before["lines"])
-            self.lines.skipping = bool(before["skipping"]) and same
-            self.lines.heading = list(heading) if same and heading else None
-            self.clock.restore(before["clock"])
-        self.source: ByteSource = open_source(source, before.get("place") if same else None, self.lines.another)
+        self.follows = follows = Following(tracker, before, units, same)
+        self.source: ByteSource = open_source(source, before.get("place") if same else None, follows.another)
         self.source.counts.update(before.get("waits") or {})
-        self.clock.again = self.resumed and not (same and self.source.seekable)
-        if self.clock.again:
-            self.lines.another()
-        head = [
-            "time [s]",
-            *(f"{c.label} [{c.unit}]" for c in f.loads),
-            *(f"std of {c.label} [{c.unit}]" for c in f.loads),
-            *(["alarm", "alarm channel"] if self.alarms else []),
-        ]
+        follows.clock.again = follows.resumed and not (same and self.source.seekable)
+        if follows.clock.again:
+            follows.another()
         try:
-            self.output = Output(out, head, before.get("output"))
+            self.output = Output(out, follows.head, before.get("output"))
         except BaseException:
             self.source.close()
             raise
         if state is not None:
             _swept(Path(state))  # now that no other run is known to write it
 
-    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch) -> StreamSummary:
+    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch | None) -> StreamSummary:
         begun = told = last = time.monotonic()
         samples = fresh = 0
-        ended, broken = "stopped", None
+        ended, broken, follows = "stopped", None, self.follows
         while not stop.is_set():
             try:
                 data = self.source.read(LOOK if idle is None else min(LOOK, idle))
-                stamps, values = self.lines.push(data or b"")
+                stamps, values = follows.lines.push(data or b"")
             except InputError as error:
                 broken = error
                 break
@@ -184,7 +151,9 @@ class _Run:
                 ended = "the source has ended"
                 break
             if data:
-                count = self._taken(stamps, values, watch)
+                if len(values):
+                    self._claim()
+                count = follows.take(stamps, values, self.output, watch)
                 samples, fresh, last = samples + count, fresh + count, now
             elif idle is not None and now - last >= idle:
                 ended = f"nothing has come for {idle:g} s"
@@ -196,9 +165,9 @@ class _Run:
             self.save()
         if broken is not None:
             raise broken
-        counts = self.counts | ({"unfinished": 1} if self.lines.rest.strip() else {})
+        counts = self.counts | ({"unfinished": 1} if follows.lines.rest.strip() else {})
         return StreamSummary(
-            samples, time.monotonic() - begun, self.resumed, ended, counts, self.tracker.phase, self.alarm
+            samples, time.monotonic() - begun, follows.resumed, ended, counts, follows.tracker.phase, follows.alarm
         )
 
     def close(self) -> None:
@@ -208,8 +177,7 @@ class _Run:
     @property
     def counts(self) -> dict[str, int]:
         """Everything that was counted."""
-        found = {**self.lines.counts, **self.clock.counts, **self.source.counts, **self.tracker.counts}
-        return {k: int(v) for k, v in found.items() if v}
+        return self.follows.counts | {k: int(v) for k, v in self.source.counts.items() if v}
 
     def save(self) -> None:
         """A checkpoint, after the output is on the disk."""
@@ -217,82 +185,22 @@ class _Run:
         self.output.sync()
         if self.state is None:
             return
-        layout = self.lines.layout or self.lines.before
         stream = {
+            **self.follows.to_tree(),
             "source": _identity(self.name),
-            "place": self.source.place(len(self.lines.rest)),
-            "layout": None if layout is None else layout.to_tree(),
-            "skipping": self.lines.skipping,
-            "heading": self.lines.heading,
-            "lines": dict(self.lines.counts),
-            "clock": self.clock.to_tree(),
-            "waiting": self.waiting,
+            "place": self.source.place(len(self.follows.lines.rest)),
             "waits": dict(self.source.counts),
             "output": self.output.place(),
-            "alarms": self.alarms,
-            "alarm": None if self.alarm is None else list(self.alarm),
         }
-        checkpoint.save(self.tracker, self.state, stream)
+        checkpoint.save(self.follows.tracker, self.state, stream)
 
     def _claim(self) -> None:
         """Before the first answer the state says which output is its own: what stands there is then known as such."""
         if not self.claimed:
             assert self.state is not None
-            checkpoint.save(self.tracker, self.state, {"output": self.output.place(), "alarms": self.alarms})
+            stream = {"output": self.output.place(), "alarms": self.follows.alarms}
+            checkpoint.save(self.follows.tracker, self.state, stream)
             self.claimed = True
-
-    def _taken(self, stamps: Array | None, values: Array, watch: Watch) -> int:
-        if len(values):
-            self._claim()
-        count = 0
-        for k, (begin, end) in enumerate(pairwise([0, *self.lines.headings, len(values)])):
-            if k:
-                self.clock.anew()
-            for a in range(begin, end, ROWS):
-                part = slice(a, min(a + ROWS, end))
-                count += self._placed(None if stamps is None else stamps[part], values[part], watch)
-        return count
-
-    def _placed(self, stamps: Array | None, values: Array, watch: Watch) -> int:
-        times, Y = self.clock.place(stamps, values)
-        load, std, alarms = self._tracked(Y, self.clock.behind)
-        if len(Y):
-            self._heard(times, alarms)
-            answers = self._answered(times, load, std)
-            self.output.write(*answers, alarms[len(Y) - len(answers[0]) :] if self.alarms else None)
-            if len(answers[0]):
-                watch(*answers)
-        return len(Y)
-
-    def _heard(self, times: Array, alarms: NDArray[np.int_]) -> None:
-        """Since when every row has had the alarm of the last one."""
-        code, channel = (int(x) for x in alarms[-1])
-        others = np.flatnonzero(np.any(alarms != alarms[-1], axis=1))
-        goes_on = not len(others) and self.alarm is not None and self.alarm[1:] == (code, channel)
-        if not goes_on:
-            self.alarm = (float(times[int(others[-1]) + 1 if len(others) else 0]), code, channel) if code else None
-
-    def _tracked(self, Y: Array, behind: list[Behind]) -> tuple[Array, Array, NDArray[np.int_]]:
-        """Loads, stds, alarms of samples, each late row put in its place when it comes: answers that are out stay."""
-        p, k = len(self.tracker.fitted.loads), 0
-        load, std, alarms = np.empty((len(Y), p)), np.empty((len(Y), p)), np.zeros((len(Y), 2), int)
-        for after, row, ago in [*behind, Behind(len(Y), np.empty(0), -1)]:
-            if after > k:
-                load[k:after], std[k:after], _ = self.tracker.run(Y[k:after])
-                alarms[k:after] = self.tracker.row_alarms
-            if ago >= 0:
-                self.tracker.insert(row, ago)
-            k = after
-        return load, std, alarms
-
-    def _answered(self, times: Array, load: Array, std: Array) -> tuple[Array, Array, Array]:
-        """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""
-        lag = self.tracker.lag
-        every = np.concatenate([self.waiting, times])
-        answered = max(len(every) - lag, 0)
-        self.waiting = every[answered:]
-        first = len(times) - answered
-        return every[:answered], load[first:], std[first:]
 
 
 def _swept(state: Path) -> None:
