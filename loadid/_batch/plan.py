@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import datetime as dt
-import difflib
 import glob
 import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +13,9 @@ from typing import Any, NoReturn
 
 from structures.errors import InputError
 
+from .. import _toml
 from .._commands import identify, settings
+from .._toml import is_number
 
 NAMES = {
     "plan": ("output", "job", "reading", "fatigue", "run", "every", "asset"),
@@ -159,92 +159,27 @@ def read(path: str | os.PathLike[str], **changes: Any) -> Plan:
         No such file, no TOML, a key that is none (with the nearest), a value that is none, a model or a pattern of
         records without a file, two assets of one name.
     """
-    file = Path(path)
-    try:
-        tree = tomllib.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise InputError("the plan cannot be read", where=str(path), found=error.strerror or str(error),
-                         hint="check the path") from None  # fmt: skip
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("the plan is no TOML", where=str(path), found=str(error)[:200] or "too many levels",
-                         hint="mend the line") from None  # fmt: skip
-    said = Said(str(path))
+    file, tree = Path(path), _toml.read(path)
+    said = Said(str(path), NAMES)
     said.known(tree, "plan", str(path))
     output = said.text(tree, "output", str(path))
-    every = said.table(tree, "every")
-    said.known(every, "asset", "[every]")
     common = said.table(tree, "reading")
     said.reading(common, "[reading]")
-    listed = tree.get("asset", [])
-    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
-        raise InputError("the plan names no asset", where=str(path), found=type(listed).__name__,
-                         expected="[[asset]] tables with name, model and records")  # fmt: skip
-    assets = tuple(said.asset({**every, **one}, common, file.parent) for one in listed)
-    names = [one.name for one in assets]
-    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
-    if twice is not None:
-        raise InputError("two assets have one name", where=str(path), found=repr(twice), expected="a name for each")
+    assets = tuple(said.asset(one, common, file.parent) for one in said.assets(tree, "name, model and records"))
     return Plan(
         file, file.parent / output, said.job(said.table(tree, "job")), assets, said.fatigue(tree),
         said.running(said.table(tree, "run"), changes),
     )  # fmt: skip
 
 
-class Said:
-    """The values of a plan, checked one by one.
-
-    Parameters
-    ----------
-    where : str
-        Path of the plan, for messages.
-    """
-
-    def __init__(self, where: str) -> None:
-        self.where = where
-
-    def known(self, tree: Mapping[str, Any], kind: str, place: str) -> None:
-        """Nothing, if every key is one of its table."""
-        for name in tree:
-            if name not in NAMES[kind]:
-                near = difflib.get_close_matches(name, NAMES[kind], n=1, cutoff=0.5)
-                where = place if place == self.where else f"{self.where}, {place}"
-                hint = f"did you mean {near[0]!r}?" if near else "leave it out"
-                raise InputError("there is no such key", where=where, found=repr(name),
-                                 expected=", ".join(NAMES[kind]), hint=hint)  # fmt: skip
-
-    def refused(self, place: str, found: Any, expected: str) -> NoReturn:
-        """A value that is none.
-
-        Raises
-        ------
-        InputError
-        """
-        raise InputError("no such value", where=f"{self.where}, {place}", found=repr(found)[:80], expected=expected)
-
-    def table(self, tree: Mapping[str, Any], name: str) -> dict[str, Any]:
-        """A table of the plan, empty where it is left out."""
-        found = tree.get(name, {})
-        if not isinstance(found, dict):
-            self.refused(name, found, f"a table [{name}]")
-        return found
-
-    def text(self, tree: Mapping[str, Any], name: str, place: str) -> str:
-        """A text that must be there."""
-        found = tree.get(name)
-        if not isinstance(found, str) or not found.strip():
-            self.refused(f"{name} of {place}", found, "a text")
-        return found
+class Said(_toml.Said):
+    """The values of a plan, checked one by one."""
 
     def asset(self, tree: dict[str, Any], common: dict[str, Any], folder: Path) -> Asset:
-        """One asset; ``{name}`` in its texts is its name."""
-        name = self.text(tree, "name", "[[asset]]")
+        """One asset."""
+        name = tree["name"]
         place = f"[[asset]] {name}"
-        self.known(tree, "asset", place)
-        tree = {key: named(value, name) for key, value in tree.items()}
-        model = folder / self.text(tree, "model", place)
-        if not model.is_file():
-            raise InputError("there is no such model", where=f"{self.where}, {place}", found=str(model),
-                             expected="a model file", hint="check the path, which counts from the plan")  # fmt: skip
+        model = self.file(tree, "model", place, folder)
         begin, first, last = tree.get("start", ""), moment(tree.get("from")), moment(tree.get("to"))
         if not isinstance(begin, str):
             self.refused(f"{place}, start", begin, "a text such as 'log_%Y%m%d_%H%M.csv'")
@@ -289,8 +224,8 @@ class Said:
         """Lowest and highest value of each load: a number L is -L to L."""
         ends: dict[str, tuple[float, float]] = {}
         for label, value in self.table(tree, "limits").items():
-            pair = [-value, value] if _number(value) and value > 0 else value
-            if not (isinstance(pair, list) and len(pair) == 2 and all(map(_number, pair)) and pair[0] < pair[1]):
+            pair = [-value, value] if is_number(value) and value > 0 else value
+            if not (isinstance(pair, list) and len(pair) == 2 and all(map(is_number, pair)) and pair[0] < pair[1]):
                 self.refused(f"{place}, limits, {label}", value, "a number > 0, or [lowest, highest], SI")
             ends[label] = float(pair[0]), float(pair[1])
         return ends
@@ -335,9 +270,13 @@ class Said:
         given = self.table(tree, "fatigue")
         self.known(given, "fatigue", "[fatigue]")
         exponents, rate = given.get("exponents", [3.0]), given.get("rate", 1.0)
-        if not isinstance(exponents, list) or not exponents or not all(_number(m) and 1 <= m <= 50 for m in exponents):
+        if (
+            not isinstance(exponents, list)
+            or not exponents
+            or not all(is_number(m) and 1 <= m <= 50 for m in exponents)
+        ):
             self.refused("[fatigue], exponents", exponents, "numbers from 1 to 50")
-        if not _number(rate) or rate <= 0:
+        if not is_number(rate) or rate <= 0:
             self.refused("[fatigue], rate", rate, "cycles in a second, > 0")
         return Fatigue(tuple(sorted({float(m) for m in exponents})), float(rate))
 
@@ -379,13 +318,6 @@ class _JobParser(argparse.ArgumentParser):
                          expected="what loadid identify takes (loadid identify --help)")  # fmt: skip
 
 
-def named(value: Any, name: str) -> Any:
-    """A value with ``{name}`` replaced in its texts."""
-    if isinstance(value, list):
-        return [named(one, name) for one in value]
-    return value.replace("{name}", name) if isinstance(value, str) else value
-
-
 def moment(value: Any) -> dt.datetime | None:
     """A date or a time of a plan, UTC where it says nothing else."""
     if isinstance(value, dt.datetime):
@@ -399,7 +331,3 @@ def _files(pattern: str) -> Iterator[str]:
             yield pattern
         return
     yield from (path for path in glob.iglob(pattern, recursive=True) if os.path.isfile(path))
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
