@@ -253,7 +253,7 @@ WORDS = {
 
 
 @contextmanager
-def _until_told() -> Iterator[threading.Event]:
+def until_told() -> Iterator[threading.Event]:
     """An event that the signals of an end set: what was begun is finished and saved."""
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -439,7 +439,7 @@ def _tracked(args: Namespace, state: StateLock | None, stated: dict[str, str]) -
         past.add(times, load, std)
 
     out = sys.stdout.buffer if args.out == "-" else args.out
-    with _until_told() as stop:
+    with until_told() as stop:
         done = follow(
             tracker, args.source, out, state=state, stream=stream, every=args.every, idle=args.idle,
             stop=stop, watch=None if args.plot is None else watch, units=stated,

@@ -1,0 +1,205 @@
+"""One live structure: its tracker, what it has taken from its source, its tables, its checkpoints."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures.errors import InputError
+
+from .._families.tracking import tracker as checkpoint
+from .._stream.following import Following
+from .inputs import Feed, Piece
+from .journal import Entry
+from .plan import Asset
+from .sinks import Sinks
+
+RECENT = 1000  # messages by which one that is sent twice is known again
+Array = NDArray[np.float64]
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Last:
+    """What the last rows said.
+
+    Parameters
+    ----------
+    time : float
+        Of the last row, in s; NaN before the first.
+    load, std : array, shape (loads,)
+    heard : float
+        When something came, on the clock of `time.monotonic`.
+    """
+
+    time: float = float("nan")
+    load: Array = field(default_factory=lambda: np.empty(0))
+    std: Array = field(default_factory=lambda: np.empty(0))
+    heard: float = 0.0
+
+
+class Live:
+    """A structure that is tracked.
+
+    Parameters
+    ----------
+    asset : Asset
+    state : Path
+        File of its checkpoints.
+    sinks : callable
+        Makes its `Sinks` from the names of columns and where they stood.
+
+    Attributes
+    ----------
+    halted : str
+        Why nothing more of it is tracked; "" where it is. What comes stays in the journal, or where it comes from,
+        and is tracked by the run that goes on.
+    dirty : bool
+        Something was taken since the last checkpoint.
+
+    Raises
+    ------
+    InputError
+        A model that is no fitted tracker, a state of another one, sinks that cannot be used, units of no sensor.
+    """
+
+    def __init__(
+        self, asset: Asset, state: Path, sinks: Callable[[Asset, Sequence[str], dict[str, Any] | None], Sinks]
+    ) -> None:
+        self.asset, self._state = asset, state
+        there = state.exists()
+        tracker, stream = checkpoint.read(state if there else asset.model)
+        if there and checkpoint.fit_of(asset.model) != checkpoint.fit_of(state):
+            raise InputError("the state belongs to another tracker than the model", where=str(state),
+                             expected=f"a state of {asset.model}",
+                             hint="move the state and the tables away, or name the model of before")  # fmt: skip
+        before = stream if there and stream is not None else {}
+        same = before.get("source") == str(asset.source)
+        self.follows = Following(tracker, before, asset.unit, same)
+        self.place = before.get("place") if same else None
+        self.serial = int(before.get("serial", 0))  # pieces that were taken
+        self.reached = self.serial  # of them, those that the checkpoint holds
+        self.recent: deque[str] = deque(before.get("recent", []), RECENT)
+        if (rest := before.get("rest")) is not None:
+            self.follows.lines.rest = bytes(np.asarray(rest, np.uint8))
+        self.halted, self.dirty, self.rows, self.checked = "", False, 0, time.monotonic()
+        self.last = Last(heard=time.monotonic())
+        self.feed: Feed | None = None
+        self.sinks = sinks(asset, self.follows.head, before.get("sinks"))
+        if not there:
+            self.checkpoint()  # which output is its own is known before the first row
+
+    def knows(self, piece: Piece) -> bool:
+        """Whether a message is sent again that was taken before."""
+        return piece.again and piece.key in self.recent
+
+    def entry(self, piece: Piece) -> Entry:
+        """A piece as it goes into the journal; it is numbered by this."""
+        found = Entry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
+        self.serial += 1
+        return found
+
+    def take(self, entries: Sequence[Entry]) -> int:
+        """Track what has come; how many samples it was. A stream that cannot be read halts the structure alone.
+
+        Raises
+        ------
+        InputError
+            A table that cannot be written.
+        """
+        if not entries:
+            return 0
+        self.recent.extend(entry.key for entry in entries if entry.key)
+        if self.halted:
+            return 0
+        self.dirty, self.last.heard, count = True, time.monotonic(), 0
+        begin = 0
+        for k, entry in enumerate(entries):
+            if entry.fresh:
+                count += self._read(entries[begin:k])
+                self.another()
+                begin = k
+        return count + self._read(entries[begin:])
+
+    def another(self) -> None:
+        """What follows comes from another file or connection."""
+        self.follows.another()
+        self.follows.clock.again = self.follows.clock.grid is not None
+
+    def checkpoint(self) -> None:
+        """Put on the disk where it stands, after its rows.
+
+        Raises
+        ------
+        InputError
+            Files that cannot be written.
+        """
+        if self.halted:
+            return
+        self.sinks.sync()
+        rest = self.follows.lines.rest
+        place = self.place if self.feed is None else self.feed.place(self.asset.name, len(rest))
+        journal = self.feed is not None and not self.feed.lasting
+        stream = {
+            **self.follows.to_tree(),
+            "source": str(self.asset.source),
+            "place": place,
+            "serial": self.serial,
+            "recent": list(self.recent),
+            "rest": np.frombuffer(rest, np.uint8) if journal else None,
+            "sinks": self.sinks.place(),
+        }
+        checkpoint.save(self.follows.tracker, self._state, stream)
+        self.reached, self.dirty, self.checked = self.serial, False, time.monotonic()
+        if self.feed is not None:
+            self.feed.saved(self.asset.name, place)
+
+    def close(self) -> None:
+        """Let go of its tables."""
+        self.sinks.close()
+
+    def _read(self, entries: Sequence[Entry]) -> int:
+        data = b"".join(entry.data for entry in entries)
+        if self.halted or not data:
+            return 0
+        rows, count = _Rows(), 0
+        try:
+            stamps, values = self.follows.lines.push(data)
+            count = self.follows.take(stamps, values, rows)
+            if self.follows.lines.refused is not None:
+                raise self.follows.lines.refused
+        except InputError as error:
+            self.halted = str(error)
+            log.error("%s is halted: %s", self.asset.name, error)
+        if rows.parts:
+            times, load, std, *alarms = rows.whole()
+            self.sinks.write(times, load, std, *alarms)
+            self.last = Last(float(times[-1]), load[-1], std[-1], self.last.heard)
+            self.rows += len(times)
+        return count
+
+
+class _Rows:
+    """Keeps rows, to be written at once."""
+
+    def __init__(self) -> None:
+        self.parts: list[tuple[NDArray[Any], ...]] = []
+
+    def write(self, times: Array, load: Array, std: Array, alarms: NDArray[np.int_] | None = None) -> None:
+        """More rows."""
+        if len(times):
+            self.parts.append((times, load, std) if alarms is None else (times, load, std, alarms))
+
+    def whole(self) -> tuple[NDArray[Any], ...]:
+        """All of them."""
+        if len(self.parts) == 1:
+            return self.parts[0]
+        return tuple(np.concatenate(column) for column in zip(*self.parts, strict=True))
