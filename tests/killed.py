@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -89,8 +90,9 @@ class Nursery:
     It compiles nothing: what its runs write is compared with what compiled loops write.
     """
 
-    def __init__(self) -> None:
-        self.process = subprocess.Popen([sys.executable, "-m", "tests.killed"], stdin=subprocess.PIPE,
+    def __init__(self, *modules: str) -> None:
+        self.process_id = 0  # of the last run
+        self.process = subprocess.Popen([sys.executable, "-m", "tests.killed", *modules], stdin=subprocess.PIPE,
                                         stdout=subprocess.PIPE, cwd=ROOT, text=True)  # fmt: skip
         assert self._line() == "ready"
 
@@ -99,7 +101,8 @@ class Nursery:
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(argv) + "\n")
         self.process.stdin.flush()
-        return int(self._line())
+        self.process_id = int(self._line())
+        return self.process_id
 
     def ended(self) -> int:
         """Wait for the run; its exit code, or minus the signal that killed it."""
@@ -166,6 +169,8 @@ def _nurse() -> None:
     from loadid import cli
     from loadid._commands import track  # noqa: F401
 
+    for module in sys.argv[1:]:
+        import_module(module)
     print("ready", flush=True)
     for line in sys.stdin:
         pid = os.fork()

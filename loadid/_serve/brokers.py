@@ -82,7 +82,8 @@ class Mqtt(_Topics):
         self._stop, self._why = threading.Event(), "not connected yet"
         self._client = connected(self.address, client, session=True)
         self._client.on_connect, self._client.on_disconnect = self._came, self._went
-        self._client.on_message = self._heard
+        self._client.on_message, self._client.on_subscribe = self._heard, self._granted
+        self._asked: dict[int, str] = {}  # topics that are subscribed to, until the broker has answered
         begin(self._client, self.address)
 
     def take(self) -> list[Piece]:
@@ -121,9 +122,14 @@ class Mqtt(_Topics):
         if reason.is_failure:
             self._why = str(reason)
             return
-        self._why = ""
-        for topic in self.by_topic:
-            client.subscribe(topic, qos=1)
+        self._asked = {client.subscribe(topic, qos=1)[1]: topic for topic in self.by_topic}
+
+    def _granted(self, client: Any, data: Any, number: int, reasons: Any, properties: Any) -> None:
+        topic = self._asked.pop(number, "")
+        if any(reason.is_failure for reason in reasons):
+            self._why = f"topic {topic} refused: {reasons[0]}"
+        elif not self._asked:
+            self._why = ""
 
     def _went(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._why = str(reason)
