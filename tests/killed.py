@@ -8,8 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from importlib import import_module
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
