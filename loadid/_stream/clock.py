@@ -85,8 +85,10 @@ class Clock:
         self._rows: list[int] = []  # of the values; -1 without data, -2 and on those that were held
         self._late: list[Array] = []
         self._seen = np.isfinite(values)
-        for k, t in enumerate(stamps.tolist()):
-            self._one(t, k, values)
+        listed, k = stamps.tolist(), 0
+        while (k := self._regular(listed, k)) < empty:
+            self._one(listed[k], k, values)
+            k += 1
         if not self._rows:
             return np.empty(0), values[:0]
         pool = np.vstack([values, np.full((1, values.shape[1]), np.nan), *self._late])
@@ -141,7 +143,31 @@ class Clock:
             hint="check that the column of time is in seconds" + ("" if turned else "; or fit a tracker to this step"),
         )  # fmt: skip
 
-    # -- one row ----------------------------------------------------------------------------------------------------
+    # -- rows, and one row ------------------------------------------------------------------------------------------
+    def _regular(self, stamps: list[float], first: int) -> int:
+        """Place rows from `first` on up to one that does not belong to the next point of the grid; which one it is."""
+        if self.grid is None:
+            return first
+        grid, dt, k, off_grid = self.grid, self.dt, first, 0
+        for t in stamps[first:] if first else stamps:
+            off = (t - grid) / dt - 1
+            if not (off >= -0.5 and off + 0.5 < 1):
+                break
+            grid += dt
+            rest = t - grid
+            off_grid += abs(rest) > JITTER * dt
+            grid += FOLLOW * rest
+            k += 1
+        if k > first:
+            self.again = self.begun = False
+            self.held.clear()
+            self.counts.update(filled=0, jumps=0, gaps=0, jitter=off_grid)
+            self.grid = grid
+            self.there.extend(self._seen[max(first, k - (self.there.maxlen or 0)) : k])
+            self._times += stamps[first:k]
+            self._rows += range(first, k)
+        return k
+
     def _one(self, t: float, k: int, values: Array) -> None:
         if self.grid is None:
             self.grid = t

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from structures._channels import Channel
 from structures.errors import InputError
 
+from .._inverse.gaussian.compiled import Compiled
 from .header import (
     TICK,
     TIME,
@@ -39,6 +40,10 @@ Array = NDArray[np.float64]
 LARGEST = 1e100  # of a reading: its square must stay a number
 HOPELESS = 50  # lines, none of which can be read, after which nothing better is expected
 LONGEST = 1 << 16  # bytes of a line; what is longer has lost its end
+LONG, COLD = 64, 20_000  # lines of a piece that count, and how many until a loop is compiled to read them
+TENS = np.array([float(10**k) for k in range(23)])  # exact
+SPACE, COMMA, POINT, END, RETURN = b" ,.\n\r"
+PLUS, MINUS, ZERO, NINE = b"+-09"
 NUMBER = re.compile(r"[-+]?[\d.]*(?:[eE][-+]?\d*)?")
 log = logging.getLogger(__name__)
 
@@ -88,6 +93,7 @@ class Lines:
         self.refused: InputError | None = None
         self.example = b""  # first line that cannot be read
         self.counts: Counter[str] = Counter()
+        self._many = 0  # lines that came in long pieces
         self._stated = stated_factors(self.units, self.sensors)
         if layout is not None:
             self._require_stated(layout)
@@ -103,6 +109,10 @@ class Lines:
         """
         if self.refused is not None:
             raise self.refused
+        if (table := self._plain(data)) is not None:
+            self.headings, parts = [], [self._parted(table)]
+            self._require_any()
+            return self._joined(parts)
         whole = self._whole(data)
         lines = [text for line in whole if (text := self._content(line))]
         self.headings, parts, left = [], [], len(lines)
@@ -280,6 +290,28 @@ class Lines:
         self.counts["lines"] += len(table)
         return table
 
+    def _plain(self, data: bytes) -> Array | None:
+        """Lines (lines, width) of numbers and empty cells alone, read at once; None for others, and for the first."""
+        many = data.count(b"\n")
+        self._many += many * (many >= LONG)
+        if self.layout is None or self.skipping or not many or (self._many < COLD and not _numbers.built):
+            return None
+        whole, _, rest = (self.rest + data).rpartition(b"\n")
+        mark = separator_of(whole.partition(b"\n")[0])[0]
+        if mark == SPACE or len(rest) > LONGEST:
+            return None
+        table, text = np.empty((many, self.layout.width)), whole + b"\n"
+        others = np.empty((table.size, 3), np.int64)
+        found = _numbers(np.frombuffer(text, np.int8), mark, TENS, LONGEST, table, others)
+        if found < 0:
+            return None
+        flat = table.reshape(-1)
+        for cell, begin, end in others[:found].tolist():
+            flat[cell] = float(text[begin:end].replace(b",", b"."))
+        self.rest = rest
+        self.counts["lines"] += many
+        return table
+
     def _block(self, lines: list[bytes]) -> Array | None:
         assert self.layout is not None
         width, mark = self.layout.width, separator_of(lines[0])
@@ -327,3 +359,96 @@ class Lines:
             self.counts["unreadable"] += int(np.sum(~good & ~bad))
             self.example = self.example or b"a line without its time stamp"
         return t[good], values[good]  # one without its stamp is a gap, which the next stamp tells
+
+
+@Compiled
+def _numbers(
+    text: NDArray[np.int8], mark: int, tens: Array, longest: int, table: Array, others: NDArray[np.int64]
+) -> int:
+    """Fill a table (lines, width) with the numbers of a text, NaN for an empty cell; -1 where it holds more.
+
+    A decimal number is a whole one over or times a power of ten: where both are exact in float64, one rounding is right
+    (W. D. Clinger, PLDI 1990), and where the first is not, a quotient with its rest (T. J. Dekker, Numer. Math. 18
+    (1971) 224-242) tells what it rounds to, but for ties and their neighbours. Others are left to `float`: how many, in
+    `others` (cells, 3) which, with begin and end of their text.
+    """
+    lines, width = table.shape
+    i, found = 0, 0
+    for line in range(lines):
+        start = i
+        for column in range(width):
+            while text[i] == SPACE:
+                i += 1
+            begin, whole, digits, power, point = i, 0, 0, 0, False
+            negative = text[i] == MINUS
+            if negative or text[i] == PLUS:
+                i += 1
+            seen, many = 0, False
+            while True:
+                c = int(text[i])
+                if ZERO <= c <= NINE:
+                    seen += 1
+                    if digits < 18:
+                        whole = 10 * whole + (c - ZERO)
+                        digits += whole > 0
+                        power -= point
+                    else:
+                        many = True
+                elif not point and (c == POINT or (c == COMMA and mark != COMMA)):
+                    point = True
+                else:
+                    break
+                i += 1
+            if seen and (c == 101 or c == 69):  # e, E
+                i += 1
+                down = text[i] == MINUS
+                if down or text[i] == PLUS:
+                    i += 1
+                if not ZERO <= text[i] <= NINE:
+                    return -1
+                exponent = 0
+                while ZERO <= text[i] <= NINE:
+                    exponent = min(10 * exponent + (int(text[i]) - ZERO), 9999)
+                    i += 1
+                power += -exponent if down else exponent
+            end = i
+            while text[i] == SPACE:
+                i += 1
+            if column + 1 == width and text[i] == RETURN:
+                i += 1
+            if text[i] != (END if column + 1 == width else mark) or (not seen and (end > begin or width == 1)):
+                return -1
+            i += 1
+            if not seen:
+                table[line, column] = np.nan
+                continue
+            value, right = float(whole), not many and (whole == 0 or abs(power) <= 22)
+            if right and whole > 0:
+                if whole > 9007199254740992:
+                    value, right = _quotient(whole, tens[max(-power, 0)])
+                    right = right and power <= 0
+                elif power < 0:
+                    value /= tens[-power]
+                else:
+                    value *= tens[power]
+            table[line, column] = -value if negative else value
+            if not right:
+                others[found, 0], others[found, 1], others[found, 2] = line * width + column, begin, end
+                found += 1
+        if i - start > longest + 1:
+            return -1
+    return found
+
+
+@Compiled
+def _quotient(whole: int, ten: float) -> tuple[float, bool]:
+    """A whole number below 1e18 over a power of ten, and whether it is rounded right."""
+    high = float(whole)
+    ratio = high / ten
+    a, b = 134217729.0 * ratio, 134217729.0 * ten  # 2^27 + 1: halves of the digits
+    a, b = a - (a - ratio), b - (b - ten)
+    product = ratio * ten
+    missed = ((a * b - product) + a * (ten - b) + (ratio - a) * b) + (ratio - a) * (ten - b)
+    left, low = (high - product) - missed, float(whole - int(high))
+    rest, doubt = (left + low) / ten, 1e-12 * (abs(left) + abs(low)) / ten
+    return ratio + rest, ratio + (rest - doubt) == ratio + (rest + doubt)

@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -171,10 +172,14 @@ class Output:
         """One line a sample: time, loads, stds, with all their digits; whole numbers of its alarm, where given."""
         if len(times):
             self._begin()
-            table = np.column_stack([times, load, std]).tolist()
-            ends = [""] * len(table) if alarms is None else [f",{code},{channel}" for code, channel in alarms.tolist()]
-            rows = [",".join(map(repr, row)) + end + "\n" for row, end in zip(table, ends, strict=True)]
-            self._put("".join(rows).encode())
+            std = np.ascontiguousarray(std, float)
+            ends = std.view(np.int64) if alarms is None else np.column_stack([std.view(np.int64), alarms])
+            cuts = np.flatnonzero(np.any(ends[1:] != ends[:-1], axis=1)) + 1
+            rows, text = np.column_stack([times, load]).tolist(), []
+            for begin, stop in pairwise([0, *cuts.tolist(), len(rows)]):
+                end = std[begin].tolist() + ([] if alarms is None else alarms[begin].tolist())
+                text.append(_lines(rows[begin:stop], end))
+            self._put("".join(text).encode())
 
     def sync(self) -> None:
         """Everything is on the disk when this returns."""
@@ -260,6 +265,12 @@ class Output:
         with self.path.open("rb") as file:
             file.seek(begin)
             return file.read(end - begin)
+
+
+def _lines(rows: list[list[float]], end: list[float]) -> str:
+    """One line a row, all with the same end: lists as `repr` writes them, each number with all its digits."""
+    last = "".join(f", {number!r}" for number in end) + "\n"
+    return (repr(rows)[2:-2].replace("], [", last) + last).replace(", ", ",")
 
 
 def mark(time: float, width: int) -> bytes:

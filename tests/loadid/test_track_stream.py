@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loadid._commands.track import BINS, History, live
+from loadid._stream import framing
 from loadid._stream.clock import LONGEST, REGULAR, Clock
 from loadid._stream.framing import LONGEST as LINE
 from loadid._stream.framing import Lines
@@ -51,6 +52,50 @@ def test_rows_do_not_depend_on_the_pieces(sizes):
     assert counts == {"lines": 9, "wide": 2, "unreadable": 1, "infinite": 2, "endless": 1}
 
 
+@pytest.mark.parametrize("sizes", [(10**9,), (7, 3, 1000), (30,)])
+def test_lines_that_are_read_at_once_are_read_alike(monkeypatch, sizes):
+    tidy = b"time,a [m/s^2],d [m]\r\n" + b"".join(b"%d,%.17g, -%d.5e-7 \r\n" % (k, np.sqrt(k), k) for k in range(40))
+    whole = tidy + MESSY.replace(b"time,a", b"t,a") + b"\n" + tidy.replace(b",", b";").replace(b".", b",")
+    monkeypatch.setattr(Lines, "_plain", lambda self, data: None)
+    known = rows(whole, sizes)
+    monkeypatch.undo()
+    monkeypatch.setattr(framing, "COLD", 0)
+    assert str(rows(whole, sizes)) == str(known)
+
+
+def numbers(lines, mark=b","):
+    """Cells of lines as the loop reads them; which of them it has left to `float`."""
+    text = b"\n".join(lines) + b"\n"
+    table = np.empty((len(lines), lines[0].count(mark) + 1))
+    others = np.empty((table.size, 3), np.int64)
+    found = framing._numbers(np.frombuffer(text, np.int8), mark[0], framing.TENS, 100, table, others)
+    return table, found, {text[begin:end] for _, begin, end in others[: max(found, 0)].tolist()}
+
+
+def test_numbers_are_read_to_the_last_bit():
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((4000, 2)) * 10.0 ** rng.integers(-9, 12, (4000, 2))
+    lines = [b"%.*g,%.*g" % (k % 20, a, k % 7 + 14, b) for k, (a, b) in enumerate(values.tolist())]
+    lines += [b"%d.%d,%d" % tuple(row) for row in rng.integers(1, 10**9, (4000, 3)) ** 2 // 7]
+    lines += [b"%d.5,%d" % tuple(row) for row in rng.integers(2**52, 2**54, (4000, 2))]  # half way between two
+    lines += [b"-0,0.000", b"+.5,5.", b" 1E+2 ,1e-05", b"1e22,1e-22", b"1e23,1e400", b"9007199254740993,-0e9"]
+    lines += [b"%r,%r" % tuple(row) for row in values.tolist()]
+    table, found, left = numbers(lines)
+    right = np.array([[float(cell) for cell in line.split(b",")] for line in lines])
+    told = np.array([[cell.strip() not in left for cell in line.split(b",")] for line in lines])
+    assert found > 0
+    assert np.mean(told) > 0.5
+    assert np.array_equal(table[told].view(np.int64), right[told].view(np.int64))
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"1", b"1,2,3", b"x,1", b"1,-", b"1,.", b"1,e5", b"1,2e", b"1,2 3", b"1,1_0", b"1,--2", b"1.2.3,1",
+             b"1;2", b"#1,2", b"1,\xb2", b"1,0x1", b"nan,1", b"1,2\r\r", b"1," + b"1" * 99],
+)  # fmt: skip
+def test_other_text_than_numbers_is_left_alone(line):
+    assert numbers([b"1,2", line, b"3,4"])[1] == -1
+
+
 def test_without_stamps_a_bad_line_is_a_sample_without_data():
     stamps, values, counts = rows(b"1,2\n3\nx,1\n5,6\n")
     assert stamps == []
@@ -80,6 +125,32 @@ def test_another_file_may_begin_with_a_header_or_without():
 
 
 # -- time stamps ------------------------------------------------------------------------------------------------------
+class Single(Clock):
+    """Every row on its own."""
+
+    def _regular(self, stamps, first):
+        return first
+
+
+@pytest.mark.parametrize("window", [0, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_regular_rows_are_placed_as_one_by_one(seed, window):
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(600) * (1 + 1e-4 * seed) + 0.001 * (1 + seed) * rng.standard_normal(600)
+    t = np.delete(t, rng.integers(0, 600, 20 * seed))
+    t[rng.integers(100, len(t), 5)] -= 0.015 * seed
+    t[-100:] -= 3.0 * (seed == 3)  # a clock that was put back
+    values = rng.standard_normal((len(t), 2))
+    values[rng.random(values.shape) < 0.05] = np.nan
+    clocks = Clock(0.01, window), Single(0.01, window)
+    for part in np.array_split(np.arange(len(t)), 7):
+        (times, found), (ones, alike) = (clock.place(t[part], values[part]) for clock in clocks)
+        assert times.tobytes() == ones.tobytes()
+        assert found.tobytes() == alike.tobytes()
+        assert str(clocks[0].behind) == str(clocks[1].behind)
+        assert str(clocks[0].to_tree()) == str(clocks[1].to_tree())
+
+
 def placed(stamps, dt=0.01, again=False, pieces=1):
     """Times and numbers of the rows, -1 without data; counts."""
     clock = Clock(dt)
@@ -311,3 +382,16 @@ def test_the_picture_in_a_terminal_shows_load_and_band():
     rows = np.argmax(columns == "█", axis=0)
     assert rows[0] > rows[28] < rows[-1]  # a sine rises and falls
     assert np.all((columns != " ").any(axis=0))
+
+
+@pytest.mark.parametrize("alarms", [None, np.repeat([[0, 0], [528, 2], [0, 0]], [5, 3, 4], axis=0)])
+def test_rows_are_written_with_all_their_digits(tmp_path, alarms):
+    rng = np.random.default_rng(0)
+    t, load, std = np.arange(12) * 0.01, rng.standard_normal((12, 2)) * 1e17, rng.random((12, 2))
+    std[1:6], load[3], std[9] = std[0], np.nan, -0.0
+    output = Output(str(tmp_path / "o"), ["t", "p", "q", "std p", "std q"] + ["code", "channel"] * (alarms is not None))
+    output.write(t, load, std, alarms)
+    output.close()
+    ends = [[]] * 12 if alarms is None else alarms.tolist()
+    rows = [[*a, *b] for a, b in zip(np.column_stack([t, load, std]).tolist(), ends, strict=True)]
+    assert (tmp_path / "o").read_text().split("\n")[1:-1] == [",".join(map(repr, row)) for row in rows]

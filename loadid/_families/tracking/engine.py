@@ -173,7 +173,7 @@ class Engine(Judge):
         self.settled = settled
         self.phase = "warm-up"
         self.ready: FilterState | None = None  # prediction of the next sample, where it is handed over
-        self.listener = Listener(self.core)
+        self.listener = Listener(self.core, settled is not None)
         self.rhythm: ChannelPeriod | None = None
         self.beat: PeriodicLoop | None = None
         self.loop: Loop | None = None

@@ -89,8 +89,8 @@ def recent(settled: SteadyFilter, most: int) -> Array:
     ways = [onset(model)]
     for _ in range(most):
         ways.append(closed @ ways[-1])
-    shown = [float(np.linalg.norm(solve_lower(settled.Se_root, model.H @ way))) for way in ways]
-    return np.hstack(ways[: 1 + int(np.argmax(shown))])
+    white = solve_lower(settled.Se_root, model.H @ np.hstack(ways)).reshape(model.m, len(ways), -1)
+    return np.hstack(ways[: 1 + int(np.argmax(np.linalg.norm(white, axis=(0, 2))))])
 
 
 def usual(model: FilterModel) -> float:

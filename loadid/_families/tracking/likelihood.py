@@ -83,10 +83,12 @@ class Listener:
     Parameters
     ----------
     core : SquareRoot
+    settled : bool
+        All channels have a settled gain already: that they are there is no period to solve for.
     """
 
-    def __init__(self, core: SquareRoot) -> None:
-        self.core = core
+    def __init__(self, core: SquareRoot, settled: bool = False) -> None:
+        self.core, self.settled = core, settled
         self._known: dict[bytes, ChannelPeriod | None] = {}
         self.clear()
 
@@ -135,7 +137,7 @@ class Listener:
             return None if rhythm is None else (rhythm, phase)
         masks = self.past(period)  # the last one is that of now
         turn = min(range(period), key=lambda t: np.roll(masks, -t, axis=0).tobytes())
-        rhythm = self.solved(np.roll(masks, -turn, axis=0))
+        rhythm = None if self.settled and masks.all() else self.solved(np.roll(masks, -turn, axis=0))
         phase = (period - 1 - turn) % period
         self._last = (self.heard, period), rhythm, phase
         return None if rhythm is None else (rhythm, phase)
