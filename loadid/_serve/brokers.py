@@ -54,6 +54,11 @@ def lines(data: bytes) -> bytes:
     return data if data.endswith(b"\n") or not data else data + b"\n"
 
 
+def key_of(data: bytes, number: object = "") -> str:
+    """By which a message is known again: the number that its broker gave it, and what it holds."""
+    return f"{number}:{hashlib.blake2b(data, digest_size=12).hexdigest()}"
+
+
 class _Topics(Feed):
     """Structures by the topics of their messages."""
 
@@ -98,7 +103,7 @@ class Mqtt(_Topics):
             if not names:  # of an earlier plan
                 self._client.unsubscribe(message.topic)
                 self.confirm([Piece("", b"", receipt=message)])
-            key = f"{message.mid}:{hashlib.sha256(message.payload).hexdigest()[:24]}" if message.qos else ""
+            key = key_of(message.payload, message.mid)
             found += [Piece(name, lines(message.payload), key, bool(message.dup), message) for name in names]
         return found
 
@@ -205,7 +210,7 @@ class ZeroMq(_Topics):
             topic = parts[0].decode("utf-8", "replace") if len(parts) > 1 else ""
             names = self.by_topic.get(topic, [])
             self.counts["refused"] += not names
-            found += [Piece(name, lines(parts[-1])) for name in names]
+            found += [Piece(name, lines(parts[-1]), key_of(parts[-1])) for name in names]
         return found
 
     def down(self) -> dict[str, str]:
@@ -263,7 +268,8 @@ class Kafka(_Topics):
             for name in self.by_topic.get(message.topic(), []):
                 if offset >= self._at[name].get(partition, 0):
                     self._at[name][partition] = offset + 1
-                    found.append(Piece(name, lines(message.value() or b"")))
+                    data = message.value() or b""
+                    found.append(Piece(name, lines(data), key_of(data)))
         return found
 
     def place(self, name: str, unread: int) -> Any:

@@ -154,7 +154,7 @@ class _Line:
     made: bool = False
     fresh: bool = True
     since: float = 0.0
-    wait: float = SOONEST
+    wait: float = 0.0
     why: str = "not connected yet"
 
 
@@ -218,7 +218,7 @@ class Sockets(Feed):
         if code:
             self._lose(line, errno.errorcode.get(code, str(code)))
             return
-        line.made, line.fresh, line.wait, line.why = True, True, SOONEST, ""
+        line.made, line.fresh, line.wait, line.why = True, True, 0.0, ""
         self._ready.modify(line.socket, selectors.EVENT_READ, line)
 
     def _received(self, line: _Line) -> bytes:
@@ -245,5 +245,5 @@ class Sockets(Feed):
                 self._ready.unregister(line.socket)
             line.socket.close()
         line.socket, line.made, line.why = None, False, why
+        line.wait = min(max(2 * line.wait, SOONEST), LATEST)
         line.since = time.monotonic() + line.wait
-        line.wait = min(2 * line.wait, LATEST)

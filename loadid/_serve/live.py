@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 
 from .._families.tracking import tracker as checkpoint
+from .._stream.clock import REGULAR
 from .._stream.following import Following
 from .inputs import Feed, Piece
 from .journal import Entry
-from .plan import Asset
+from .plan import BROKERS, Asset
 from .sinks import Sinks
 
 RECENT = 1000  # messages by which one that is sent twice is known again
+MESSAGES = 1000  # late rows in a row that show a clock that was put back: fewer are messages out of order
+ROW = tuple(b"%c" % c for c in b"+-.0123456789")  # how a message without a line of names begins
 Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
 
@@ -83,11 +86,12 @@ class Live:
                              hint="move the state and the tables away, or name the model of before")  # fmt: skip
         before = stream if there and stream is not None else {}
         same = before.get("source") == str(asset.source)
-        self.follows = Following(tracker, before, asset.unit, same)
+        regular = MESSAGES if asset.source.scheme in BROKERS else REGULAR
+        self.follows = Following(tracker, before, asset.unit, same, regular)
         self.place = before.get("place") if same else None
         self.serial = int(before.get("serial", 0))  # pieces that were taken
         self.reached = self.serial  # of them, those that the checkpoint holds
-        self.recent: deque[str] = deque(before.get("recent", []), RECENT)
+        self._recent = _Recent(before.get("recent", []))
         if (rest := before.get("rest")) is not None:
             self.follows.lines.rest = bytes(np.asarray(rest, np.uint8))
         self.halted, self.dirty, self.rows, self.checked = "", False, 0, time.monotonic()
@@ -98,13 +102,21 @@ class Live:
             self.checkpoint()  # which output is its own is known before the first row
 
     def knows(self, piece: Piece) -> bool:
-        """Whether a message is sent again that was taken before."""
-        return piece.again and piece.key in self.recent
+        """Whether a message is sent again that was taken before.
+
+        Its broker says so, or it holds the same rows with the same time stamps.
+        """
+        layout = self.follows.lines.layout
+        stamped = layout is not None and layout.time is not None and piece.data[:1] in ROW
+        if not piece.key or not (piece.again or stamped):
+            return False
+        return self._recent.has(piece.key, numbered=not stamped)
 
     def entry(self, piece: Piece) -> Entry:
         """A piece as it goes into the journal; it is numbered by this."""
         found = Entry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
         self.serial += 1
+        self._recent.add([found.key] if found.key else [])  # the same may come once more in this round
         return found
 
     def take(self, entries: Sequence[Entry]) -> int:
@@ -117,7 +129,7 @@ class Live:
         """
         if not entries:
             return 0
-        self.recent.extend(entry.key for entry in entries if entry.key)
+        self._recent.add(entry.key for entry in entries if entry.key)
         if self.halted:
             return 0
         self.dirty, self.last.heard, count = True, time.monotonic(), 0
@@ -153,7 +165,7 @@ class Live:
             "source": str(self.asset.source),
             "place": place,
             "serial": self.serial,
-            "recent": list(self.recent),
+            "recent": self._recent.keys,
             "rest": np.frombuffer(rest, np.uint8) if journal else None,
             "sinks": self.sinks.place(),
         }
@@ -185,6 +197,41 @@ class Live:
             self.last = Last(float(times[-1]), load[-1], std[-1], self.last.heard)
             self.rows += len(times)
         return count
+
+
+class _Recent:
+    """Keys of the last messages, ``NUMBER:DIGEST``: the number by which a broker knows it, and what it holds."""
+
+    def __init__(self, keys: Iterable[str]) -> None:
+        self._keys: dict[str, None] = {}
+        self._held: Counter[str] = Counter()
+        self.add(keys)
+
+    @property
+    def keys(self) -> list[str]:
+        """The oldest first."""
+        return list(self._keys)
+
+    def add(self, keys: Iterable[str]) -> None:
+        """Messages that were taken."""
+        for key in keys:
+            if key not in self._keys:
+                self._keys[key] = None
+                self._held[_digest(key)] += 1
+        while len(self._keys) > RECENT:
+            oldest = next(iter(self._keys))
+            del self._keys[oldest]
+            self._held[_digest(oldest)] -= 1
+            if not self._held[_digest(oldest)]:
+                del self._held[_digest(oldest)]
+
+    def has(self, key: str, numbered: bool) -> bool:
+        """Whether a message was taken: of this number, or any that held the same."""
+        return key in self._keys if numbered else _digest(key) in self._held
+
+
+def _digest(key: str) -> str:
+    return key.partition(":")[2]
 
 
 class _Rows:

@@ -180,7 +180,7 @@ class Said(_toml.Said):
         if not there:
             return Address("file", str((folder / text).absolute()))
         if scheme not in ("tcp", *BROKERS):
-            self.refused(place, text, f"a path, tcp://HOST:PORT, or {', '.join(f'{b}://' for b in BROKERS)}")
+            self.refused(place, _bare(text), f"a path, tcp://HOST:PORT, or {', '.join(f'{b}://' for b in BROKERS)}")
         try:
             parts = urlsplit(text)
             host, port = parts.hostname, parts.port or BROKERS.get(scheme)
@@ -189,10 +189,10 @@ class Said(_toml.Said):
         topic = unquote(parts.path[1:]) if host else ""
         if not host or not port or (topic and scheme == "tcp"):
             self.refused(place, _bare(text), f"{scheme}://HOST:PORT" + ("" if scheme == "tcp" else "/TOPIC"))
+        if set(topic) & set("#+") or "#" in text:
+            self.refused(place, _bare(text), "a topic without wildcards: one of each asset")
         if not topic and scheme in ("mqtt", "mqtts", "kafka"):
             self.refused(place, _bare(text), f"{scheme}://HOST/TOPIC, with the topic of this asset")
-        if set(topic) & set("#+"):
-            self.refused(place, _bare(text), "a topic without wildcards: one of each asset")
         user = unquote(parts.username or "")
         password = unquote(parts.password or "") or (os.environ.get(SECRET, "") if user else "")
         return Address(scheme, topic, host, port, user, password)

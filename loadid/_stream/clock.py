@@ -23,7 +23,7 @@ JITTER = 0.1  # steps off the grid that are counted
 LONGEST = 2000  # samples that a gap is filled with: the filter has forgotten by then, and a jump is no longer a gap
 FEW, SEEN = 5, 40  # stamps that show at what step a stream comes
 FASTEST, SLOWEST, SPARSE = 0.75, 20.5, 1.5  # of its steps over that of the tracker; from where it is said
-REGULAR = 20  # late samples in a row, a step apart from each other, that show a clock that was put back
+REGULAR = 20  # late samples in a row that show a clock that was put back
 log = logging.getLogger(__name__)
 
 
@@ -44,6 +44,8 @@ class Clock:
         Step of the tracker in s.
     window : int
         Samples by which a row may come late and still be put in its place.
+    regular : int
+        Late samples in a row, a step apart from each other, that show a clock that was put back.
 
     Attributes
     ----------
@@ -54,8 +56,8 @@ class Clock:
         or too far back), ``again`` (sent again after a new start), ``jitter``, ``jumps``.
     """
 
-    def __init__(self, dt: float, window: int = 0) -> None:
-        self.dt = dt
+    def __init__(self, dt: float, window: int = 0, regular: int = REGULAR) -> None:
+        self.dt, self.regular = dt, regular
         self.there: deque[NDArray[np.bool_]] = deque(maxlen=window)  # channels of the last samples
         self.behind: list[Behind] = []
         self.grid: float | None = None  # time of the last sample
@@ -215,7 +217,7 @@ class Clock:
         if self.held and abs((t - self.held[-1][0]) / self.dt - 1) > 0.5:
             self.held.clear()
         self.held.append((t, row.copy()))
-        if len(self.held) < REGULAR:
+        if len(self.held) < self.regular:
             return
         self.counts["late"] -= len(self.held)
         self.counts["jumps"] += 1

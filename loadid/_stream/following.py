@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._families.tracking.tracker import Tracker
-from .clock import Behind, Clock
+from .clock import REGULAR, Behind, Clock
 from .framing import Lines
 from .header import ColumnLayout
 
@@ -39,6 +39,8 @@ class Following:
         Units of columns, by the names of their sensors.
     same : bool
         The stream goes on where the earlier run left it; else it may begin with a header.
+    regular : int
+        As for `Clock`.
 
     Attributes
     ----------
@@ -50,14 +52,14 @@ class Following:
 
     def __init__(
         self, tracker: Tracker, before: Mapping[str, Any] | None = None, units: Mapping[str, str] | None = None,
-        same: bool = True,
+        same: bool = True, regular: int = REGULAR,
     ) -> None:  # fmt: skip
         f, before = tracker.fitted, before or {}
         self.tracker, layout, heading = tracker, before.get("layout"), before.get("heading")
         self.resumed = "clock" in before  # else it says only which output it belongs to
         self.alarms = bool(before.get("alarms", not self.resumed))  # outputs of 0.1 have no columns of them
         self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
-        self.clock = Clock(f.dt, tracker.replay)
+        self.clock = Clock(f.dt, tracker.replay, regular)
         since = before.get("alarm")
         self.alarm = None if since is None else (float(since[0]), int(since[1]), int(since[2]))
         self.waiting = np.array(before.get("waiting", []), float)  # times of samples that are answered later

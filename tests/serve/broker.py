@@ -152,7 +152,8 @@ def health(port: int) -> dict[str, Any]:
         with urlopen(f"http://127.0.0.1:{port}/health", timeout=5) as answer:
             return dict(json.load(answer))
     except HTTPError as error:
-        return dict(json.load(error))
+        with error:
+            return dict(json.load(error))
     except OSError:
         return {}
 

@@ -1,0 +1,167 @@
+"""`loadid serve` behind a real MQTT broker: a fleet on one core, a day, kills. `python -m tests.benchmarks.serve`.
+
+    --fleet 500          structures of 22 states and 4 sensors at 100 Hz, a message a second from each, for a minute:
+                         CPU seconds of the server for a second of the fleet, its memory, lateness of the rows
+    --day                86.4 million rows at 1 kHz (or --rows N) of one structure, as fast as they go, a pause, a lost
+                         connection, doubled and late messages among them: memory after the first hour and at the end
+    --kills 1000         by SIGKILL while messages come: tables beside those of an undisturbed run
+    --only fleet|day|kills
+
+Needs mosquitto (`apt install mosquitto`). The alternative for a fleet is a process for each structure: what
+`loadid track` takes for the same rows from a pipe is printed beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from loadid import LoadTracker
+from loadid._families.tracking.tracker import Tracker
+from tests.killed import text
+from tests.serve.broker import Mosquitto, free_port, health, tortured, waited
+from tests.tracked import bm2
+
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def spent(pid: int) -> float:
+    """CPU seconds of a process."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def resident(pid: int) -> float:
+    """MB of a process in memory."""
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
+
+
+def fitted(samples: int) -> tuple[Tracker, np.ndarray]:
+    """Tracker of a ten-storey building, fitted to a record of it, and a longer record."""
+    case = bm2("matern", 0, samples=samples)
+    return LoadTracker(case.setup.space("zoh"), noise=case.noise).fit(case.y[:1500], case.dt), case.y
+
+
+def served(folder: Path, broker: Mosquitto, names: list[str], latency: float) -> subprocess.Popen[bytes]:
+    """A server of structures that are alike, once it has subscribed."""
+    port = free_port()
+    assets = "".join(f'[[asset]]\nname = "{name}"\n' for name in names)
+    (folder / "plan.toml").write_text(
+        f'states = "states"\n[run]\nlatency = {latency}\nhttp = {port}\n[every]\nmodel = "model.h5"\n'
+        f'source = "mqtt://127.0.0.1:{broker.port}/{{name}}"\nsinks = ["loads/{{name}}.csv"]\n{assets}'
+    )
+    env = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    process = subprocess.Popen([sys.executable, "-m", "loadid.cli", "serve", str(folder / "plan.toml")], env=env)
+    waited(lambda: health(port).get("status") == "ok", "the server", 600)
+    return process
+
+
+def fleet(structures: int, seconds: int) -> None:
+    """What a second of a fleet costs."""
+    tracker, Y = fitted(100 * (seconds + 5))
+    lines = text(tracker, Y)
+    parts = [b"".join(lines[1 + 100 * k : 101 + 100 * k]) for k in range(seconds + 5)]
+    names = [f"mast-{k}" for k in range(structures)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        tracker.save(folder / "model.h5")
+        with Mosquitto(folder) as broker:
+            begun = time.monotonic()
+            server = served(folder, broker, names, 0.2)
+            ready = time.monotonic() - begun
+            client, late = broker.client(), []
+            start, marks = time.monotonic(), []
+            for k, part in enumerate(parts):
+                if k == 5:
+                    marks.append(spent(server.pid))
+                for j, own in enumerate(names):
+                    client.publish(own, lines[0] * (k == 0) + part, qos=1)
+                    due = start + k + (j + 1) / structures
+                    if j % 20 == 19 and (ahead := due - time.monotonic()) > 0:
+                        time.sleep(ahead)
+                if k in (10, seconds):
+                    size = (folder / "loads" / f"{names[-1]}.csv").stat().st_size
+                    sent = time.monotonic()
+                    waited(lambda: (folder / "loads" / f"{names[-1]}.csv").stat().st_size > size, "a row")  # noqa: B023
+                    late.append(time.monotonic() - sent)
+            cpu, wall = spent(server.pid) - marks[0], seconds
+            memory = resident(server.pid)
+            server.terminate()
+            server.wait(120)
+            client.loop_stop()
+            rows = sum(path.read_bytes().count(b"\n") - 1 for path in (folder / "loads").glob("*.csv"))
+            expected = 100 * len(parts) * structures
+    own = 1e6 * cpu / (100 * wall * structures)
+    print(f"fleet of {structures} at 100 Hz: {cpu / wall:.0%} of a core, {own:.1f} us a row, {memory:.0f} MB, ready in "
+          f"{ready:.0f} s; a row {1e3 * max(late):.0f} ms after its message; {rows} rows of {expected}")  # fmt: skip
+
+
+def day(rows: int) -> None:
+    """Growth of the memory over a day."""
+    tracker, Y = fitted(6000)
+    lines = text(tracker, Y[1000:], stamps=False)
+    part, size = b"".join(lines[1:]), len(lines) - 1
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        tracker.save(folder / "model.h5")
+        with Mosquitto(folder) as broker:
+            server = served(folder, broker, ["mast"], 0.1)
+            client = broker.client()
+            table, base, sent, cpu = folder / "loads" / "mast.csv", 0.0, 0, spent(server.pid)
+            client.publish("mast", lines[0], qos=1)
+            while sent < rows:
+                message = client.publish("mast", part, qos=1)
+                sent += size
+                message.wait_for_publish(60)
+                if not base and sent >= rows / 24:
+                    base = resident(server.pid)
+                if table.exists() and table.stat().st_size > 1 << 28:
+                    os.truncate(table, table.stat().st_size)
+            grown, cpu = resident(server.pid) - base, spent(server.pid) - cpu
+            server.terminate()
+            server.wait(120)
+            client.loop_stop()
+    print(f"{sent:,} rows of one structure: {1e6 * cpu / sent:.1f} us a row, growth after the first 24th {grown:.1f} "
+          "MB")  # fmt: skip
+
+
+def kills(count: int) -> None:
+    """Killed while messages come."""
+    with tempfile.TemporaryDirectory() as name:
+        found = tortured(Path(name), count)
+    lost = {name: found["sent"] - rows for name, rows in found["rows"].items()}
+    print(f"{count} kills, {found['sent']} rows to each of two structures: lost or doubled {lost}; tables as "
+          f"those of an undisturbed run: {found['same']}")  # fmt: skip
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fleet", type=int, default=500)
+    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--rows", type=int, default=3_600_000)
+    parser.add_argument("--day", action="store_true")
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--only", choices=("fleet", "day", "kills"))
+    args = parser.parse_args()
+    jobs: dict[str, Callable[[], None]] = {
+        "fleet": lambda: fleet(args.fleet, args.seconds),
+        "day": lambda: day(86_400_000 if args.day else args.rows),
+        "kills": lambda: kills(args.kills),
+    }
+    for name, job in jobs.items():
+        if args.only in (None, name):
+            job()
+
+
+if __name__ == "__main__":
+    main()
