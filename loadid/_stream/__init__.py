@@ -37,7 +37,7 @@ __all__ = ["StreamSummary", "follow", "open_source"]
 
 Array = NDArray[np.float64]
 
-EVERY = 5000  # samples from one checkpoint to the next
+EVERY = 20_000  # samples from one checkpoint to the next: a tenth of a second of reading a file
 SECONDS = 5.0  # and the longest time, where something has come
 LOOK = 0.1  # s that a source is waited for before the clock is looked at
 ROWS = 256  # rows placed in time at once: each may stand for a gap
