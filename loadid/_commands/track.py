@@ -327,7 +327,7 @@ def _configure(parser: ArgumentParser) -> None:
         "--plot", nargs="?", const="", metavar="PICTURE",
         help="draw load and band in the terminal while samples come, and write a picture at the end where one is named",
     )  # fmt: skip
-    parser.add_argument("--every", type=count, default=5000, metavar="N", help="samples between checkpoints (5000)")
+    parser.add_argument("--every", type=count, default=20_000, metavar="N", help="samples between checkpoints (20000)")
     parser.add_argument(
         "--idle", type=seconds, metavar="S", help="end where a file has not grown for so long (default: never)"
     )

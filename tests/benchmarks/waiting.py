@@ -1,10 +1,10 @@
 """What users wait for: whole jobs, by the public call or the command line, beside what they would take instead.
 
-Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about ten minutes. CPU seconds of
-the process and its children, the BLAS threads as the environment has them, on the default install. Every job runs in a
-process of its own, once on a record of its own to have its loops compiled, then on another record (*first*) and a third
-one (*again*: what is kept of a model counts). The alternative has the same data and, where it knows none, the lambda
-that the job chose; it gives a load without std, rules or verdict.
+Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about a quarter of an hour. CPU
+seconds of the process and its children, the BLAS threads as the environment has them, on the default install. Every job
+runs in a process of its own, once on a record of its own to have its loops compiled, then on another record (*first*)
+and a third one (*again*: what is kept of a model counts). The alternative has the same data and, where it knows none,
+the lambda that the job chose; it gives a load without std (filterpy has one), rules or verdict.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from functools import cache
 from io import StringIO
 from pathlib import Path
@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, LocationSearch, Noise, SparseDeconvolution, StaticInversion, recommend
+from loadid import Deconvolution, LoadTracker, LocationSearch, Noise, SparseDeconvolution, StaticInversion, recommend
 from loadid._commands import demo
 from loadid.cli import main as command
 from loadid.constraints import NonNegative
 from structures import ForwardModel, ImpulseModel, MatrixModel, beams, damping, loads, sensors
+from tests.tracked import bm2
 
 Array = NDArray[Any]
 Job = Callable[[int], Any]
@@ -270,6 +271,67 @@ def million_by_three() -> tuple[Job, None]:
     ), None
 
 
+@cache
+def followed(samples: int) -> tuple[Any, list[Array]]:
+    """A tracker of a building, fitted with its gate and its watch, and what its four sensors read afterwards."""
+    case = bm2("matern", 0, samples=samples + 4000, fine=4)
+    tracker = LoadTracker(case.setup.space("foh"), noise=case.noise).fit(case.y[:4000], case.dt)
+    rng = np.random.default_rng(0)
+    return tracker, [case.y[4000:] + 0.1 * case.noise * rng.standard_normal((samples, 4)) for _ in range(3)]
+
+
+def by_filterpy(tracker: Any, y: Array) -> tuple[Array, Array]:
+    """Load and std of samples (samples, sensors), rows of missing channels left out."""
+    f = tracker.to_filterpy()
+    Cp, H, R = tracker.fitted.model.Cp, np.array(f.H), np.array(f.R)
+    load, std = np.empty(len(y)), np.empty(len(y))
+    for k, (row, there) in enumerate(zip(y, np.isfinite(y), strict=True)):
+        if k:
+            f.predict()
+        if there.any():
+            f.update(row[there], R=R[np.ix_(there, there)], H=H[there])
+        load[k], std[k] = (Cp @ f.x)[0], np.sqrt((Cp @ f.P @ Cp.T)[0, 0])
+    return load, std
+
+
+def streamed() -> tuple[Job, Other]:
+    """`loadid track` from CSV to CSV, 100 000 rows with time stamps: ten times the CPU s are microseconds a row."""
+    n, place = 100_000, tempfile.TemporaryDirectory()
+    tracker, records = followed(n)
+    folder = Path(place.name)
+    tracker.reset()
+    tracker.save(folder / "tracker.h5")
+    for k, y in enumerate(records):
+        head = ",".join(["time [s]", *(f"{c.label} [{c.unit}]" for c in tracker.fitted.sensors)])
+        np.savetxt(folder / f"{k}.csv", np.column_stack([np.arange(n) * tracker.fitted.dt, y]), delimiter=",",
+                   fmt="%.9g", header=head, comments="")  # fmt: skip
+
+    def job(k: int) -> None:
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            words = {"--model": "tracker.h5", "--in": f"{k}.csv", "--out": f"{k}.out", "--state": f"{k}.h5"}
+            named = [word for name, file in words.items() for word in (name, str(Path(place.name) / file))]
+            assert command(["track", *named, "--idle", "0"]) == 0
+
+    def other(k: int, found: Any) -> None:
+        t, y = np.split(np.loadtxt(folder / f"{k}.csv", delimiter=",", skiprows=1), [1], axis=1)
+        np.savetxt(folder / "other", np.column_stack([t, *by_filterpy(tracker, y)]), delimiter=",", fmt="%.17g")
+
+    return job, other
+
+
+def holed(share: float) -> tuple[Job, Other]:
+    """20 000 samples, some cells missing at random: fifty times the CPU s are microseconds a sample."""
+    tracker, records = followed(20_000)
+    rng = np.random.default_rng(0)
+    records = [np.where(rng.random(y.shape) < share, np.nan, y) for y in records]
+
+    def job(k: int) -> Any:
+        tracker.reset()
+        return tracker.run(records[k])
+
+    return job, lambda k, found: by_filterpy(tracker, records[k])
+
+
 JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "demo": (demonstration, "loadid demo", ""),
     "demo estimate": (simulated_demo, "its estimate, 3 x 6000", "LSQR over FFTs, one lambda"),
@@ -285,6 +347,10 @@ JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "recommend": (recommended, "4000 samples, which prior", "one sparse estimate"),
     "million": (million, "1e6 samples, 12 states", "LSQR over FFTs, that lambda"),
     "million, three": (million_by_three, "3 x 1e6 samples, 28 states", ""),
+    "track": (streamed, "track, CSV to CSV, 4 x 100 000", "loadtxt, filterpy, savetxt"),
+    "track, 1 %": (lambda: holed(0.01), "track, 1 % missing, 4 x 20 000", "filterpy"),
+    "track, 10 %": (lambda: holed(0.1), "track, 10 % missing, 4 x 20 000", "filterpy"),
+    "track, 30 %": (lambda: holed(0.3), "track, 30 % missing, 4 x 20 000", "filterpy"),
 }
 
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError, NotIdentifiable
 
+from ..._inverse.gaussian.compiled import Compiled
 from ..._inverse.gaussian.loop import Loop
 from ..._inverse.gaussian.model import FilterModel
 from ..._inverse.gaussian.roots import Array, lower, solve_lower
@@ -148,12 +149,25 @@ class Lifted:
                 both = np.matmul(self.M, v)[:, :, 0]
                 z[:, t : t + LIFT], x = both[:, : LIFT * m].reshape(q, LIFT, m), both[:, LIFT * m :]
             return z, x
-        for t, y in enumerate(Y):
-            ahead = x @ self.H.T
-            news = _completed(y - ahead, self.W)
-            z[:, t] = np.matmul(self.W, news[:, :, None])[:, :, 0]
-            x = np.matmul(self.A, x[:, :, None])[:, :, 0] + np.matmul(self.B, (ahead + news)[:, :, None])[:, :, 0]
+        x = np.array(x)
+        loop = _with_gaps.after(len(Y) * self._moves.size)
+        loop(self._moves, self.W, self.H, self._needed, np.ascontiguousarray(Y), x, z)
         return z, x
+
+    def compile(self) -> None:
+        """Load the compiler for hops with missing samples now, and not within one."""
+        _with_gaps.build()
+        self.hop(np.zeros((len(self.out), self.H.shape[1])), np.full((HOP, len(self.H)), np.nan))
+
+    @cached_property
+    def _moves(self) -> Array:
+        """The next prediction from a prediction and a sample, transposed (filters, n + m, n)."""
+        return np.ascontiguousarray(np.swapaxes(np.concatenate([self.A, self.B], axis=2), 1, 2))
+
+    @cached_property
+    def _needed(self) -> Bits:
+        """Channels (m,) that any filter has; the others are missing all the time."""
+        return np.asarray(self.W.any(axis=(0, 1)))
 
     def mixed(self, rows: NDArray[np.int_], weights: Array, x: Array, Y: Array) -> tuple[Array, Array, Array]:
         """Loads and std (samples, p) of samples, any of some filters being right, and their predictions (rows, n)."""
@@ -167,6 +181,88 @@ class Lifted:
             std[t] = np.sqrt(own + weights @ (each - load[t]) ** 2)
             x = np.matmul(A, x[:, :, None])[:, :, 0] + np.matmul(B, (ahead + news)[:, :, None])[:, :, 0]
         return load, std, x
+
+
+@Compiled
+def _with_gaps(moves: Array, W: Array, H: Array, needed: Bits, Y: Array, x: Array, z: Array) -> None:
+    """Innovations z (filters, samples, m) of samples with missing ones (`_completed`), and the next predictions in x.
+
+    The least squares by reflections.
+    """
+    q, m, n = W.shape[0], W.shape[1], x.shape[1]
+    both, news, rest, work, ahead, at = (
+        np.zeros(n + m), np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros(n), np.zeros(m, np.int64),
+    )  # fmt: skip
+    for f in range(q):
+        for t in range(Y.shape[0]):
+            gone = 0
+            for j in range(n):
+                both[j] = x[f, j]
+            for i in range(m):
+                expected = 0.0
+                for j in range(n):
+                    expected += H[i, j] * both[j]
+                both[n + i] = expected
+                news[i] = Y[t, i] - expected
+                if not np.isfinite(Y[t, i]):
+                    news[i] = 0.0
+                    if needed[i]:
+                        at[gone] = i
+                        gone += 1
+            for i in range(m):
+                rest[i] = 0.0
+                for j in range(m):
+                    rest[i] += W[f, i, j] * news[j]
+            for c in range(gone):
+                for i in range(m):
+                    work[i, c] = W[f, i, at[c]]
+                    z[f, t, i] = rest[i]
+            for c in range(gone):
+                size = 0.0
+                for i in range(c, m):
+                    size += work[i, c] * work[i, c]
+                first = work[c, c]
+                corner = -np.sqrt(size) if first >= 0.0 else np.sqrt(size)
+                work[c, c] = first - corner
+                beta = 1.0 / (size - first * corner)
+                for k in range(c + 1, gone + 1):
+                    total = 0.0
+                    for i in range(c, m):
+                        total += work[i, c] * (work[i, k] if k < gone else z[f, t, i])
+                    total *= beta
+                    for i in range(c, m):
+                        if k < gone:
+                            work[i, k] -= total * work[i, c]
+                        else:
+                            z[f, t, i] -= total * work[i, c]
+                work[c, c] = corner
+            for c in range(gone - 1, -1, -1):
+                total = -z[f, t, c]
+                for k in range(c + 1, gone):
+                    total -= work[c, k] * news[at[k]]
+                news[at[c]] = total / work[c, c]
+            for i in range(m):
+                z[f, t, i] = 0.0
+                for j in range(m):
+                    z[f, t, i] += W[f, i, j] * news[j]
+                both[n + i] += news[i]
+            for j in range(n):
+                ahead[j] = 0.0
+            k = 0
+            while k + 4 <= n + m:
+                a, b, c, d = both[k], both[k + 1], both[k + 2], both[k + 3]
+                for j in range(n):
+                    ahead[j] += (a * moves[f, k, j] + b * moves[f, k + 1, j]) + (
+                        c * moves[f, k + 2, j] + d * moves[f, k + 3, j]
+                    )
+                k += 4
+            while k < n + m:
+                a = both[k]
+                for j in range(n):
+                    ahead[j] += a * moves[f, k, j]
+                k += 1
+            for j in range(n):
+                x[f, j] = ahead[j]
 
 
 def _completed(news: Array, W: Array) -> Array:

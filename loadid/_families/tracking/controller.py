@@ -25,7 +25,7 @@ from ..._inverse.gaussian.roots import Array, lower, solve_lower
 from ..._inverse.gaussian.steady import SteadyFilter
 from . import gate as odds
 from . import judging
-from .engine import ARRIVED
+from .engine import NEAR
 from .fit import TrackerFit
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
@@ -125,7 +125,7 @@ def _numbers(f: TrackerFit, gate: float | None, width: Array | None, most: Array
     scale = _units(f)
     model, settled = _counted(f.model, scale), f.settled
     core = SquareRoot(model)
-    sizes: dict[str, Any] = {"HAS_GAIN": int(settled is not None), "ARRIVED": ARRIVED}
+    sizes: dict[str, Any] = {"HAS_GAIN": int(settled is not None), "ARRIVED": NEAR}
     tables: dict[str, Array] = {"F": model.F, "H": model.H, "LR": model.LR, "CP": model.Cp, "X0": model.x0}
     tables["L0"] = _square(lower(model.L0))
     tables["LQ"] = narrow(core.whole.LQ)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, reals
 
 from ..._inverse.gaussian.lag import Delayed, FixedLag, LagLine, delayed, resumed
-from ..._inverse.gaussian.loop import Loop, PeriodicLoop
+from ..._inverse.gaussian.loop import ARRIVED, SHOWN, Loop, PeriodicLoop, RootLoop
 from ..._inverse.gaussian.model import FilterModel, FilterState, Innovation, SquareRoot
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
@@ -139,8 +139,9 @@ def _frozen(form: Delayed) -> Delayed:
     return Delayed(form.load, form.variance, np.zeros_like(form.cross), form.lag)
 
 
-ARRIVED = 1e-3  # of the variances, from which the settled gain takes over
+NEAR = 1e-3  # of the variances, from which the settled gain takes over
 OFF = "transient"  # phase off the settled gain
+PIECE = 64  # samples off it that are taken at once
 REPEATS = 1e-9  # of the variances, from which the gains of a rhythm do
 
 
@@ -177,8 +178,14 @@ class Engine(Judge):
         self.rhythm: ChannelPeriod | None = None
         self.beat: PeriodicLoop | None = None
         self.loop: Loop | None = None
+        self.roots: RootLoop | None = None
+        if RootLoop.takes(model):
+            most = np.full(model.m, np.inf) if gate is None else gate * self.width
+            variance = None if settled is None else np.sum(settled.L**2, axis=1)
+            self.roots = RootLoop(model, most, variance, NEAR)
         if settled is not None:
-            limit = None if gate is None else gate * self.width * settled.innovation_std
+            self._spread = settled.innovation_std
+            limit = None if gate is None else gate * self.width * self._spread
             self.loop = Loop(settled.rows(), model.p, model.m, model.x0, limit)
             self._ways = recent(settled, PATIENCE)
             self._variance = np.sum(settled.L**2, axis=1)
@@ -214,6 +221,9 @@ class Engine(Judge):
             load, std, e = np.empty((1, self.model.p)), np.empty((1, self.model.p)), np.empty((1, self.model.m))
             if self._turned(y[None], load, std, e):
                 return load[0], std[0]
+        load, std, e = np.empty((1, self.model.p)), np.empty((1, self.model.p)), np.empty((1, self.model.m))
+        if self._rooted(y[None], load, std, e):
+            return load[0], std[0]
         return self._slow(y)
 
     def block(
@@ -235,7 +245,7 @@ class Engine(Judge):
                 taken = self.loop.block(Y[k:], load[k:], raw[k:])
                 std[k : k + taken] = self._std
                 if e is not None:
-                    e[k : k + taken] = raw[k : k + taken] / self.settled.innovation_std
+                    np.divide(raw[k : k + taken], self._spread, out=e[k : k + taken])
                 if late is not None and taken:
                     part = slice(k, k + taken)
                     load[part], std[part] = late.calm(self.settled, load[part], raw[part])
@@ -255,6 +265,11 @@ class Engine(Judge):
                 k += taken
             if k == len(Y):
                 return
+            if late is None and (taken := self._rooted(Y[k : k + PIECE], load[k:], std[k:], raw[k:])):
+                if e is not None:
+                    e[k : k + taken] = raw[k : k + taken]
+                k += taken
+                continue
             origin = self._origin() if late is not None else (None, None)
             load[k], std[k] = self._slow(self._sample(Y[k]))
             if late is not None:
@@ -309,6 +324,41 @@ class Engine(Judge):
             self.taken, self.innovation = Y[taken - 1].copy(), Heard(e[taken - 1].copy())
         return taken
 
+    def _rooted(self, Y: Array, load: Array, std: Array, e: Array) -> int:
+        """Fill samples off the settled gain up to one that has to be judged; how many."""
+        if self.roots is None or self.rival is not None or self.plain is not None or self.wrong.any():
+            return 0
+        before = self._stands()
+        if before is None:
+            return 0
+        if self.phase == "periodic":
+            self.listener.clear()
+        there = np.isfinite(Y)
+        taken, why, x, L = self.roots.block(*before, Y, self.listener.ear(there), load, std, e)
+        if not taken:
+            return 0
+        self.phase, self.ready = OFF if self.phase in ("steady", "periodic") else self.phase, None
+        self.state, self.innovation = FilterState(x, L), Heard(e[taken - 1].copy())
+        self.taken, self.pair, self.fell = Y[taken - 1].copy(), None, False
+        self.counts["samples"] += taken
+        self.counts["missing"] += int(np.sum(~there[:taken]))
+        self.listener.heard += taken
+        if why == ARRIVED:
+            self._calm()
+        elif why == SHOWN:
+            self._regular()
+        return taken
+
+    def _stands(self) -> tuple[Array, Array, bool] | None:
+        """Mean and root before the next sample, and whether they are its prediction; None before the first one."""
+        if self.phase == "steady" and self.loop is not None:
+            return self.loop.x, self._ahead, True
+        if self.phase == "periodic" and self.beat is not None and self.rhythm is not None:
+            return self.beat.x, self.rhythm.ahead[self.beat.phase], True
+        if self.ready is not None:
+            return self.ready.x, self.ready.L, True
+        return None if self.state is None else (self.state.x, self.state.L, False)
+
     def _slow(self, y: Array) -> tuple[Array, Array]:
         self.counts["samples"] += 1
         self.counts["missing"] += int(np.sum(~np.isfinite(y)))
@@ -345,17 +395,28 @@ class Engine(Judge):
             return
         now = np.sum(self.state.L**2, axis=1)
         whole = self.loop is not None and there.all()
-        if whole and np.all(np.abs(now - self._variance) <= ARRIVED * self._variance):
-            assert self.loop is not None
-            self.loop.x = self.core.predict(self.state).x
-            self.phase, self.young = "steady", False
-            self._agreed()
-            self.listener.clear()
-            return
+        if whole and np.all(np.abs(now - self._variance) <= NEAR * self._variance):
+            self._calm()
+        else:
+            self._regular()
+
+    def _calm(self) -> None:
+        """To the settled gain."""
+        assert self.state is not None
+        assert self.loop is not None
+        self.loop.x = self.core.predict(self.state).x
+        self.phase, self.young = "steady", False
+        self._agreed()
+        self.listener.clear()
+
+    def _regular(self) -> None:
+        """To the gains of a rhythm, where channels come and go in one and the covariance does too."""
         found = self.listener.found()
         if found is None:
             return
+        assert self.state is not None
         rhythm, phase = found
+        now = np.sum(self.state.L**2, axis=1)
         if np.all(np.abs(now - rhythm.variances[phase]) <= REPEATS * rhythm.variances[phase]):
             self._beat(rhythm, self.core.predict(self.state).x, (phase + 1) % rhythm.period)
             self.young = False

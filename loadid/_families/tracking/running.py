@@ -67,14 +67,16 @@ class Means:
 
     def add(self, e: Array) -> None:
         """Take up normalised innovations (samples, m); NaN where there is none."""
-        k = 0
+        k, there = 0, np.isfinite(e)
+        whole = np.count_nonzero(there) == there.size
+        values = e if whole else np.where(there, e, 0.0)
         while k < len(e):
-            part = e[k : k + self.length - self.filled]
-            there = np.isfinite(part)
+            part = slice(k, k + self.length - self.filled)
             # one after the other: blocks of any length give the same bits
-            self.sums[-1] = np.add.accumulate(np.vstack([self.sums[-1], np.where(there, part, 0.0)]))[-1]
-            self.counts[-1] += there.sum(axis=0)
-            self.filled, k = self.filled + len(part), k + len(part)
+            self.sums[-1] = np.add.accumulate(np.concatenate([self.sums[-1:], values[part]]))[-1]
+            more = min(part.stop, len(e)) - k
+            self.counts[-1] += more if whole else there[part].sum(axis=0)
+            self.filled, k = self.filled + more, k + more
             if self.filled == self.length:
                 self._next()
 
@@ -240,12 +242,15 @@ class Running:
         return FilterpyEngine(f.model)
 
     def compile(self) -> None:
-        """Load the compiler of the settled gains now, so that no sample waits for it."""
+        """Load the compiler of the filters now, so that no sample waits for it."""
         for engine in (self._engine, *(engine for _, engine in self._bank)):
-            if engine.loop is not None:
-                engine.loop.compile()
-        if self._watch is not None and self._watch.light is not None:
-            self._watch.light.loop.compile()
+            for loop in (engine.loop, engine.roots):
+                if loop is not None:
+                    loop.compile()
+        if self._watch is not None:
+            self._watch.bank.compile()
+            if self._watch.light is not None:
+                self._watch.light.loop.compile()
 
     def step(self, sample: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
@@ -296,9 +301,10 @@ class Running:
 
         That is `FARTHEST` times its largest load where a sample has its alarm, `FAR` times where it has none before.
         """
-        size, code = np.abs(load), alarms[:, :1]
-        if (size <= self._limit).all():
+        size = np.abs(load)
+        if np.count_nonzero(size <= self._limit) == size.size:
             return load, std, alarms
+        code = alarms[:, :1]
         wrong = (code == FAULT) | (code == MISFIT)
         most = np.where(wrong, 1.0, FAR / FARTHEST) * self._limit
         away = size > most

@@ -264,7 +264,7 @@ class Watch:
             changed = self.filled == 0 and (
                 self.settling or self.held is not None or self.reseed is not None or bool(self.doubted.any())
             )
-        return Y[:k], np.concatenate(rows), None
+        return Y[:k], rows[0] if len(rows) == 1 else np.concatenate(rows), None
 
     def settle(self, gated: Bits) -> FilterState | None:
         """Keep the wrong channel out, unless the gate does already (m,), or it was right in the last hop.

@@ -12,6 +12,7 @@ rounding. Both are told apart from arrival by the rate: what is left after k sam
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Callable
 from functools import cache, update_wrapper
 from types import FunctionType
@@ -21,6 +22,7 @@ import numpy as np
 
 from .roots import Array
 
+WORTH = 2 * 10**6  # products of a loop as it is written, that take as long as the compiler to load
 log = logging.getLogger(__name__)
 
 
@@ -42,6 +44,7 @@ class Compiled:
         assert isinstance(function, FunctionType)
         self.plain = function
         self._fast: Callable[..., Any] | None = None
+        self._made = 0  # products, as written
         update_wrapper(self, function)
 
     def __reduce__(self) -> str:
@@ -51,6 +54,13 @@ class Compiled:
     def built(self) -> bool:
         """Whether the compiler is loaded, and a call costs no more than the loop."""
         return self._fast is not None
+
+    def after(self, products: int) -> Callable[..., Any]:
+        """The loop as written, until it has made the products that the load of the compiler is worth; then compiled."""
+        self._made += products
+        if self._fast is None and self._made <= WORTH and "numba" not in sys.modules:
+            return self.plain
+        return self.build()
 
     def build(self) -> Callable[..., Any]:
         """The compiled function: to be called often, it saves the look whether there is one."""

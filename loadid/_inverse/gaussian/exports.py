@@ -46,7 +46,7 @@ class FilterpyEngine:
         With the state of the last sample.
     """
 
-    loop = innovation = rival = None
+    loop = roots = innovation = rival = None
 
     def __init__(self, model: FilterModel) -> None:
         self.model, self.core, self.kf = model, SquareRoot(model), to_filterpy(model)

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from structures.errors import InputError
 
 from .compiled import Compiled
+from .model import FilterModel
 from .roots import Array
 from .steady import PeriodicFilter, SteadyFilter
 
@@ -128,7 +129,8 @@ class Loop:
         InputError
             Samples of another width.
         """
-        Y = np.require(Y, float, ["C", "W"])  # one type: another would be compiled anew
+        if type(Y) is not np.ndarray or Y.dtype != float or not Y.flags.carray:
+            Y = np.require(Y, float, ["C", "W"])  # one type: another would be compiled anew
         if Y.ndim != 2 or Y.shape[1] != self.m:
             raise _width(Y, self.m)
         if self._single:
@@ -323,3 +325,218 @@ def _padded(f: SteadyFilter, sigmas: ArrayLike) -> Loop:
     rows[np.ix_(out, into)] = f.rows()
     limit[mask] = np.broadcast_to(np.asarray(sigmas, float), (m,))[mask] * f.innovation_std
     return Loop(rows, p, m, np.zeros(n), limit)
+
+
+WIDER = 8  # samples after which a root is made narrow again
+WHOLE, ODD, ARRIVED, SHOWN = range(4)  # why it stopped: at the end, before an odd sample, settled, in a rhythm
+
+
+class RootLoop:
+    """The square-root recursion in one loop, channels that are missing left out: mean, root of the covariance.
+
+    A sample takes its channels one after the other, ``L <- L (I - b v v^T)`` with ``v = L^T h`` (J. E. Potter, in G. J.
+    Bierman, Factorization Methods for Discrete Sequential Estimation, Academic Press 1977, ch. II). The process noise
+    adds its columns to the root, which is made triangular by reflections every few samples only. What sensors and loads
+    read of the states is carried along in the same sums.
+
+    Parameters
+    ----------
+    model : FilterModel
+        Without correlated noises.
+    width : array, shape (m,)
+        Innovations over their std that are taken.
+    variance : array, shape (n,), optional
+        Of the states, where it ends: they have settled within `near` times these, with all channels there.
+    near : float
+    """
+
+    def __init__(self, model: FilterModel, width: Array, variance: Array | None, near: float) -> None:
+        self.n, self.m, self.p = model.n, model.m, model.p
+        read = np.vstack([np.eye(self.n), model.H, model.Cp])
+        self._read, self._ahead = np.ascontiguousarray(read.T), np.ascontiguousarray((read @ model.F).T)
+        self._noise = np.ascontiguousarray((read @ model.LQ).T)
+        self._power, self._width = np.sum(model.LR**2, axis=1), np.array(width, float)
+        self._variance, self._near = np.full(self.n, -1.0) if variance is None else variance, near
+        q = len(self._noise)
+        self._most = self.n + max(q, min(WIDER * q, self.n))
+
+    @staticmethod
+    def takes(model: FilterModel) -> bool:
+        """Whether every channel has a noise of its own, correlated with no other."""
+        LR = model.LR
+        return model.S is None and bool(np.all(np.diag(LR) != 0)) and np.count_nonzero(LR) == len(LR)
+
+    def compile(self) -> None:
+        """Load the compiler of the loop now, and not within a sample."""
+        none, one = np.zeros((3, 0, max(self.m, self.p))), np.zeros(1, int)
+        _roots.build()
+        self.block(np.zeros(self.n), np.zeros((self.n, 0)), False, none[0, :, : self.m].copy(), (0, one, one, one, one),
+                   none[1, :, : self.p].copy(), none[1, :, : self.p].copy(), none[2, :, : self.m].copy())  # fmt: skip
+
+    def block(
+        self, x: Array, L: Array, ahead: bool, Y: Array, ear: tuple[Any, ...], load: Array, std: Array, e: Array
+    ) -> tuple[int, int, Array, Array]:  # fmt: skip
+        """Fill loads and std (samples, p) and normalised innovations (samples, m) of samples, as far as it goes.
+
+        Parameters
+        ----------
+        x, L : array, shapes (n,), (n, any)
+            Of the states before the first sample: predicted (`ahead`), or of the sample before.
+        Y : array, shape (samples, m)
+        ear : tuple
+            Samples heard before; number of each sample's set of channels (samples,); numbers of those before in a ring,
+            the newest first, twice; how many samples in a row were as those 1, 2, ... before, and how many show it.
+
+        Returns
+        -------
+        taken, why : int
+            Samples, and one of `WHOLE`, `ODD`, `ARRIVED`, `SHOWN`.
+        x, L : array
+            After them.
+        """
+        if not Y.flags.carray:
+            Y = np.require(Y, float, ["C", "W"])  # one type: another would be compiled anew
+        n, wide = self.n, self._read.shape[1]
+        rows = max(self._most, L.shape[1]) + len(self._noise)
+        root, mean = np.zeros((2, rows, wide)), np.zeros((3, wide))
+        root[0, : L.shape[1], :n], mean[0, :n] = L.T, x
+        if ahead:
+            L = np.ascontiguousarray(L)  # the same bits wherever it comes from
+            root[0, : L.shape[1], n:], mean[0, n:] = L.T @ self._read[:, n:], x @ self._read[:, n:]
+        at = np.array([L.shape[1], ahead, 0, self._most, ear[0]])
+        why = _roots.after(len(Y) * n * wide * self._most)(
+            self._ahead, self._noise, self._power, self._width, self._variance, self._near, root, mean, at, Y, *ear[1:],
+            load, std, e,
+        )  # fmt: skip
+        return int(at[2]), int(why), mean[0, :n].copy(), np.ascontiguousarray(root[0, : at[0], :n].T)
+
+
+@Compiled
+def _roots(
+    F: Array, Q: Array, power: Array, width: Array, variance: Array, near: float, root: Array, mean: Array, at: Array,
+    Y: Array, names: Array, ring: Array, runs: Array, shown: Array, load: Array, std: Array, e: Array,
+) -> int:  # fmt: skip
+    """`RootLoop.block`: why it stopped.
+
+    `root` and `mean` hold what is and what is ahead, a row for each column of the root, sensors and loads behind the
+    states; `at` the number of rows, whether the first are ahead, samples taken, most rows, samples heard.
+    """
+    n, wide, q = F.shape[0], F.shape[1], Q.shape[0]
+    m, p = len(power), load.shape[1]
+    gain, spread, half = mean[2], np.zeros(wide), len(runs)
+    for k in range(Y.shape[0]):
+        for i in range(m):
+            if np.isinf(Y[k, i]):
+                return ODD
+        r, now = at[0], root[0]
+        if at[1] == 0:
+            for j in range(r + 1):  # the mean last
+                before = mean[0] if j == r else now[j]
+                after = mean[1] if j == r else root[1, j]
+                for i in range(wide):
+                    after[i] = 0.0
+                c = 0
+                while c + 4 <= n:
+                    a0, a1, a2, a3 = before[c], before[c + 1], before[c + 2], before[c + 3]
+                    for i in range(wide):
+                        after[i] += (a0 * F[c, i] + a1 * F[c + 1, i]) + (a2 * F[c + 2, i] + a3 * F[c + 3, i])
+                    c += 4
+                while c < n:
+                    a0 = before[c]
+                    for i in range(wide):
+                        after[i] += a0 * F[c, i]
+                    c += 1
+            now = root[1]
+            for j in range(q):
+                for i in range(wide):
+                    now[r + j, i] = Q[j, i]
+            r += q
+            x = mean[1]
+        else:
+            x = mean[0]
+        for i in range(wide):
+            spread[i] = 0.0
+        for j in range(r):
+            for i in range(n, n + m):
+                spread[i] += now[j, i] * now[j, i]
+        whole = True
+        for i in range(m):
+            e[k, i] = (Y[k, i] - x[n + i]) / np.sqrt(spread[n + i] + power[i])
+            whole = whole and not np.isnan(Y[k, i])
+            if abs(e[k, i]) > width[i]:
+                return ODD
+        if at[1] == 0:
+            for i in range(wide):
+                mean[0, i] = x[i]
+            for j in range(r):
+                for i in range(wide):
+                    root[0, j, i] = now[j, i]
+            now, x = root[0], mean[0]
+        at[0], at[1] = r, 0
+        for i in range(m):
+            if np.isnan(Y[k, i]):
+                continue
+            size = power[i]
+            for c in range(wide):
+                gain[c] = 0.0
+            for j in range(r):
+                a = now[j, n + i]
+                size += a * a
+                for c in range(wide):
+                    gain[c] += a * now[j, c]
+            share, rest = 1.0 / (size + np.sqrt(power[i] * size)), (Y[k, i] - x[n + i]) / size
+            for j in range(r):
+                a = share * now[j, n + i]
+                for c in range(wide):
+                    now[j, c] -= a * gain[c]
+            for c in range(wide):
+                x[c] += rest * gain[c]
+        for i in range(wide):
+            spread[i] = 0.0
+        for j in range(r):
+            for i in range(wide):
+                spread[i] += now[j, i] * now[j, i]
+        for i in range(p):
+            load[k, i], std[k, i] = x[n + m + i], np.sqrt(spread[n + m + i])
+        if r + q > at[3] and r > n:  # triangular again
+            for c in range(n):
+                size = 0.0
+                for j in range(c, r):
+                    size += now[j, c] * now[j, c]
+                if size == 0.0:
+                    continue
+                first = now[c, c]
+                corner = -np.sqrt(size) if first >= 0.0 else np.sqrt(size)
+                beta = 1.0 / (size - first * corner)
+                now[c, c] = first - corner
+                for i in range(c + 1, n):
+                    gain[i] = 0.0
+                for j in range(c, r):
+                    a = now[j, c]
+                    for i in range(c + 1, n):
+                        gain[i] += a * now[j, i]
+                for j in range(c, r):
+                    a = beta * now[j, c]
+                    for i in range(c + 1, n):
+                        now[j, i] -= a * gain[i]
+                now[c, c] = corner
+                for j in range(c + 1, r):
+                    now[j, c] = 0.0
+            at[0] = n
+        at[2] = k + 1
+        start = half - at[4] % half
+        told = False
+        for i in range(half):
+            runs[i] = runs[i] + 1 if ring[start + i] == names[k] else 0
+            told = told or runs[i] >= shown[i]
+        ring[start - 1] = names[k]
+        ring[start - 1 + half] = names[k]
+        at[4] += 1
+        if whole:
+            for i in range(n):
+                whole = whole and abs(spread[i] - variance[i]) <= near * variance[i]
+            if whole:
+                return ARRIVED
+        if told:
+            return SHOWN
+    return WHOLE

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+FEW = 1000  # entries of a right-hand side below which `dtrsm` keeps to one thread; `dtrtrs` wakes all of them for any
 NARROW, WIDE, LARGE = 4, 16, 100  # columns that `dtpqrt` reflects together, and the size from which it is the more
 
 
@@ -35,6 +36,14 @@ def lapack() -> tuple[Any, Any, Any]:
     from scipy.linalg.lapack import dgeqrf, dtpqrt, dtrtrs
 
     return dgeqrf, dtrtrs, dtpqrt
+
+
+@lru_cache(maxsize=1)
+def blas() -> Any:
+    """``dtrsm`` by position: (alpha, a, b, side, lower, trans)."""
+    from scipy.linalg.blas import dtrsm
+
+    return dtrsm
 
 
 @lru_cache(maxsize=64)
@@ -91,11 +100,15 @@ def joined(L: Array, wide: Array) -> Array:
 
 def solve_lower(L: Array, b: Array) -> Array:
     """``L^-1 b`` for a lower triangular L (k, k) and b (k,) or (k, columns)."""
+    if b.ndim == 2 and b.size < FEW and len(L) and np.diagonal(L).all():
+        return np.asarray(blas()(1.0, L, b, 0, 1))
     return lapack()[1](L, b, 1)[0] if len(L) else np.array(b, float)
 
 
 def solve_lower_transposed(L: Array, b: Array) -> Array:
     """``L^-T b`` for a lower triangular L (k, k) and b (k,) or (k, columns)."""
+    if b.ndim == 2 and b.size < FEW and len(L) and np.diagonal(L).all():
+        return np.asarray(blas()(1.0, L, b, 0, 1, 1))
     return lapack()[1](L, b, 1, 1)[0] if len(L) else np.array(b, float)
 
 
