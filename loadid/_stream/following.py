@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._families.tracking.running import Rows
 from .._families.tracking.tracker import Tracker
 from .clock import REGULAR, Behind, Clock
 from .framing import Lines
@@ -17,6 +18,7 @@ from .header import ColumnLayout
 Array = NDArray[np.float64]
 Watch = Callable[[Array, Array, Array], None]
 
+LARGEST = 62  # channels that a whole number tells apart
 ROWS = 256  # rows placed in time at once: each may stand for a gap
 
 
@@ -41,23 +43,28 @@ class Following:
         The stream goes on where the earlier run left it; else it may begin with a header.
     regular : int
         As for `Clock`.
+    told : bool
+        Rows of a new table tell all.
 
     Attributes
     ----------
     alarm : tuple of (float, int, int) or None
         Time from which the rows have had the alarm of the last one, its code and channel (from 1; 0 for none).
-    alarms : bool
-        Rows end with the code and the channel of their alarm.
+    alarms, told : bool
+        Rows hold the code and the channel of their alarm; and, before these, the NIS for each channel, behind them the
+        phase (0 starting, 1 settled, 2 open loop) and the channels that are kept out, the first as 1, the second as 2,
+        then 4, 8, ...
     """
 
     def __init__(
         self, tracker: Tracker, before: Mapping[str, Any] | None = None, units: Mapping[str, str] | None = None,
-        same: bool = True, regular: int = REGULAR,
+        same: bool = True, regular: int = REGULAR, told: bool = False,
     ) -> None:  # fmt: skip
         f, before = tracker.fitted, before or {}
         self.tracker, layout, heading = tracker, before.get("layout"), before.get("heading")
         self.resumed = "clock" in before  # else it says only which output it belongs to
         self.alarms = bool(before.get("alarms", not self.resumed))  # outputs of 0.1 have no columns of them
+        self.told = bool(before.get("told", told))
         self.lines = Lines(f.sensors, None if layout is None else ColumnLayout.from_tree(layout), units)
         self.clock = Clock(f.dt, tracker.replay, regular)
         since = before.get("alarm")
@@ -79,7 +86,9 @@ class Following:
             "time [s]",
             *(f"{c.label} [{c.unit}]" for c in f.loads),
             *(f"std of {c.label} [{c.unit}]" for c in f.loads),
+            *(["NIS"] if self.told else []),
             *(["alarm", "alarm channel"] if self.alarms else []),
+            *(["phase", "kept out"] if self.told else []),
         ]
 
     @property
@@ -99,6 +108,7 @@ class Following:
             "clock": self.clock.to_tree(),
             "waiting": self.waiting,
             "alarms": self.alarms,
+            "told": self.told,
             "alarm": None if self.alarm is None else list(self.alarm),
         }
 
@@ -126,11 +136,17 @@ class Following:
     # -- inside -----------------------------------------------------------------------------------------------------
     def _placed(self, stamps: Array | None, values: Array, table: Table, watch: Watch | None) -> int:
         times, Y = self.clock.place(stamps, values)
-        load, std, alarms = self._tracked(Y, self.clock.behind)
+        rows, alarms = self._tracked(Y, self.clock.behind)
         if len(Y):
             self._heard(times, alarms)
-            times, load, std = self._answered(times, load, std)
-            table.write(times, load, std, alarms[len(Y) - len(times) :] if self.alarms else None)
+            times, load, std = self._answered(times, rows.load, rows.std)
+            now = slice(len(Y) - len(times), None)
+            if self.told:
+                nis = self.tracker.nis(rows.e[now])
+                marks = np.column_stack([alarms[now], _phases(rows)[now], _kept_out(Y, rows.e)[now]])
+                table.write(times, load, np.column_stack([std, nis]), marks)
+            else:
+                table.write(times, load, std, alarms[now] if self.alarms else None)
             if watch is not None and len(times):
                 watch(times, load, std)
         return len(Y)
@@ -143,18 +159,17 @@ class Following:
         if not goes_on:
             self.alarm = (float(times[int(others[-1]) + 1 if len(others) else 0]), code, channel) if code else None
 
-    def _tracked(self, Y: Array, behind: Sequence[Behind]) -> tuple[Array, Array, NDArray[np.int_]]:
-        """Loads, stds, alarms of samples, each late row put in its place when it comes: answers that are out stay."""
-        p, k = len(self.tracker.fitted.loads), 0
-        load, std, alarms = np.empty((len(Y), p)), np.empty((len(Y), p)), np.zeros((len(Y), 2), int)
+    def _tracked(self, Y: Array, behind: Sequence[Behind]) -> tuple[Rows, NDArray[np.int_]]:
+        """Rows and alarms of samples, each late one put in its place when it comes: answers that are out stay."""
+        out, alarms, k = Rows.of(len(Y), len(self.tracker.fitted.loads), Y.shape[1]), np.zeros((len(Y), 2), int), 0
         for after, row, ago in [*behind, Behind(len(Y), np.empty(0), -1)]:
             if after > k:
-                load[k:after], std[k:after], _ = self.tracker.run(Y[k:after])
+                out[k:after].take(self.tracker.rows(Y[k:after]))
                 alarms[k:after] = self.tracker.row_alarms
             if ago >= 0:
                 self.tracker.insert(row, ago)
             k = after
-        return load, std, alarms
+        return out, alarms
 
     def _answered(self, times: Array, load: Array, std: Array) -> tuple[Array, Array, Array]:
         """Answers with their own times: a tracker with a lag speaks of samples that lie back, at first of none."""
@@ -164,3 +179,14 @@ class Following:
         self.waiting = every[answered:]
         first = len(times) - answered
         return every[:answered], load[first:], std[first:]
+
+
+def _phases(rows: Rows) -> NDArray[np.int_]:
+    """0 starting or gone from a settled gain, 1 settled, 2 open loop: no channel was used (samples,)."""
+    return np.where(np.isfinite(rows.e).any(axis=1), rows.settled, 2)
+
+
+def _kept_out(Y: Array, e: Array) -> NDArray[np.int_]:
+    """Channels that came and were not used, the first as 1, the second as 2, then 4, 8, ... (samples,)."""
+    out = np.isfinite(Y) & ~np.isfinite(e)
+    return out[:, :LARGEST] @ (1 << np.arange(min(Y.shape[1], LARGEST)))

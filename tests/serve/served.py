@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 
 from loadid import LoadTracker
-from loadid._families.tracking import tracker as checkpoint
 from loadid._families.tracking.tracker import Tracker
 from loadid._serve import plan
 from loadid._serve.server import Server
-from loadid._stream import follow
 from tests.killed import text
 from tests.tracked import bm2
 
-from .broker import waited
+from .broker import straight, waited
 
 _MADE: dict[str, Any] = {}
 
@@ -64,8 +62,6 @@ def rows(folder: Path, name: str = "mast.csv") -> int:
     return path.read_bytes().count(b"\n") - 1 if path.exists() else 0
 
 
-def straight(folder: Path, data: bytes) -> bytes:
-    """Table of an undisturbed run over a log."""
-    (folder / "straight.log").write_bytes(data)
-    follow(checkpoint.load(folder / "model.h5"), str(folder / "straight.log"), str(folder / "straight.csv"), idle=0)
-    return (folder / "straight.csv").read_bytes()
+def undisturbed(folder: Path, log: list[bytes]) -> bytes:
+    """The same for the server of a folder."""
+    return straight(folder / "model.h5", b"".join(log), folder / "straight.csv")

@@ -25,7 +25,7 @@ from loadid.cli import main as command
 from structures.errors import InputError
 
 from .broker import Mosquitto, free_port, health, waited
-from .served import fitted, lines, rounds, rows, server, straight
+from .served import fitted, lines, rounds, rows, server, undisturbed
 
 
 def test_a_header_without_a_unit_halts_one_structure_alone_and_is_mended_by_the_plan(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_header_without_a_unit_halts_one_structure_alone_and_is_mended_by_the_
             assert rows(tmp_path) == 1500
         client.disconnect()
         client.loop_stop()
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
     assert (tmp_path / "roof.csv").read_bytes() == (tmp_path / "mast.csv").read_bytes()
 
 
@@ -84,15 +84,12 @@ def test_pauses_late_and_doubled_messages_are_counted_and_do_no_harm(tmp_path: P
     assert "jumps" not in counts
     table = np.loadtxt(tmp_path / "mast.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 0], np.arange(1500) * 0.01, atol=1e-9)
-    assert np.isfinite(table).all()
-    whole = np.loadtxt(straight_table(tmp_path, log), delimiter=",", skiprows=1)
+    assert np.isfinite(table[:, :3]).all()
+    assert set(table[500:620, 6]) == {1.0, 2.0}  # settled, then open loop where nothing came
+    assert np.isnan(table[table[:, 6] == 2, 3]).all()
+    whole = np.loadtxt(undisturbed(tmp_path, log).splitlines(), delimiter=",", skiprows=1)
     calm = slice(1300, None)  # long after
     np.testing.assert_allclose(table[calm, 1], whole[calm, 1], atol=0.2 * np.std(whole[:, 1]))
-
-
-def straight_table(folder: Path, log: list[bytes]) -> Path:
-    straight(folder, b"".join(log))
-    return folder / "straight.csv"
 
 
 def test_all_kinds_of_sinks_hold_the_same_rows(tmp_path: Path) -> None:
@@ -265,7 +262,7 @@ def test_the_command_goes_until_it_is_told_and_goes_on(tmp_path: Path) -> None:
         assert process.returncode == 0
         assert answer["counts"]["samples"] == end - 1
     assert answer["rows"] == 800
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_the_command_says_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ import pytest
 from loadid._serve.server import Server
 
 from .broker import Mosquitto, free_port, waited
-from .served import fitted, lines, rounds, rows, server, straight
+from .served import fitted, lines, rounds, rows, server, undisturbed
 
 
 def accepted(one: Server, listening: socket.socket) -> socket.socket:
@@ -45,7 +45,7 @@ def test_a_file_that_comes_later_and_grows(tmp_path: Path) -> None:
         with (tmp_path / "log.csv").open("ab") as file:
             file.write(log[800][9:] + b"".join(log[801:]))
         rounds(one, lambda: rows(tmp_path) == 1500, "the rest")
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_what_came_by_a_socket_before_a_kill_is_made_again_from_the_journal(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_what_came_by_a_socket_before_a_kill_is_made_again_from_the_journal(tmp_
                     made.sendall(b"".join(([] if begin == 0 else log[:1]) + log[begin:end]))
                     rounds(one, lambda end=end: rows(tmp_path) == end - 1, "the rows")  # type: ignore[misc]
                 assert one.lives["mast"].reached == 0
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_a_lost_connection_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,7 +75,7 @@ def test_a_lost_connection_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
             rounds(one, lambda: bool(one.feeds["mast"].down()), "the end of the connection")
         assert one.lives["mast"].follows.counts["again"] == 200
         assert one.feeds["mast"].counts["lost"] == 2
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_messages_of_a_publisher(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_messages_of_a_publisher(tmp_path: Path) -> None:
         rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
         assert one.feeds["mast"].counts["refused"] > 0
     context.destroy(linger=0)
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_offsets_of_a_cluster_stand_in_the_checkpoint(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_offsets_of_a_cluster_stand_in_the_checkpoint(tmp_path: Path) -> None:
     produce(901, 1501)
     with server(tmp_path, address) as one:
         rounds(one, lambda: rows(tmp_path) == 1500, "the rest")
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_a_message_is_confirmed_after_its_rows_are_in_the_table(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_lost_broker_is_found_again_and_nothing_is_doubled(tmp_path: Path) -> 
         client.disconnect()
         client.loop_stop()
         assert feed.counts["lost"] > 0
-    assert (tmp_path / "mast.csv").read_bytes() == straight(tmp_path, b"".join(log))
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 @pytest.mark.parametrize("scheme", ["mqtt", "zmq", "kafka"])

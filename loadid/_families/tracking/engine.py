@@ -228,17 +228,18 @@ class Engine(Judge):
 
     def block(
         self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None,
-        late: Late | None = None,
+        late: Late | None = None, settled: NDArray[np.bool_] | None = None,
     ) -> None:  # fmt: skip
         """Fill loads and std (samples, p) of a block (samples, m).
 
         Where given, `e` gets the normalised innovations, `taken_as`, a copy of the block, NaN where a channel was kept
-        out, and loads and std are those that `late` makes of them.
+        out, `settled` (samples,) where a settled gain answered, and loads and std are those that `late` makes of them.
         """
         Y = np.ascontiguousarray(Y, float)
         raw = np.empty(Y.shape)
         k = 0
         while k < len(Y):
+            begin = k
             if self.phase == "steady":
                 assert self.loop is not None
                 assert self.settled is not None
@@ -263,6 +264,8 @@ class Engine(Judge):
                 if e is not None:
                     e[k : k + taken] = raw[k : k + taken]
                 k += taken
+            if settled is not None:
+                settled[begin:k] = True
             if k == len(Y):
                 return
             if late is None and (taken := self._rooted(Y[k : k + PIECE], load[k:], std[k:], raw[k:])):

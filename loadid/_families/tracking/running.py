@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from operator import le
 from typing import Any
 
@@ -21,7 +22,7 @@ from structures.errors import InputError, plain, reals
 from ..._guards.tracking import FAR, beyond_the_fit, blind, faulty, kept_out, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
-from ..._inverse.gaussian.roots import Array
+from ..._inverse.gaussian.roots import Array, lower, solve_lower
 from ..._inverse.gaussian.steady import SteadyFilter
 from .bank import HOP, lifted_of
 from .engine import Engine, Late
@@ -119,6 +120,33 @@ class Means:
         """Go on from what `to_tree` gave."""
         self.length, self.filled = int(tree["length"]), int(tree["filled"])
         self.sums, self.counts = np.array(tree["sums"], float), np.array(tree["counts"], float)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is filled for a block: loads and std (samples, p), normalised innovations (samples, m), and `settled`.
+
+    `settled` (samples,) is true where a settled gain answered. Innovations are NaN where no channel was used.
+    """
+
+    load: Array
+    std: Array
+    e: Array
+    settled: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, samples: int, p: int, m: int) -> Rows:
+        """Nothing filled yet."""
+        return cls(np.empty((samples, p)), np.empty((samples, p)), np.full((samples, m), np.nan),
+                   np.zeros(samples, bool))  # fmt: skip
+
+    def take(self, other: Rows) -> None:
+        """Fill with what another one holds."""
+        self.load[:], self.std[:], self.e[:], self.settled[:] = other.load, other.std, other.e, other.settled
+
+    def __getitem__(self, part: slice) -> Rows:
+        """Views."""
+        return Rows(self.load[part], self.std[part], self.e[part], self.settled[part])
 
 
 ENGINE_COUNTS = ("samples", "missing", "gated", "believed", "steps", "lost")
@@ -367,59 +395,82 @@ class Running:
 
     def run(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> tuple[Array, Array, Array]:
         """Loads and std (samples, loads), normalised innovations (samples, sensors) of bare numbers."""
-        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        rows = self.rows(Y, progress)
+        return rows.load, rows.std, rows.e
+
+    def rows(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> Rows:
+        """All that is told of bare numbers (samples, sensors); `row_alarms` are theirs then."""
+        out = Rows.of(len(Y), self._p, Y.shape[1])
         if self.fitted.limits is not None:
             Y = self._believable(Y)
-        self._filtered(Y, load, std, e, progress)
+        self._filtered(Y, out, progress)
         if self.fitted.wider is not None:
-            std *= self.fitted.wider
-        return load, std, e
+            np.multiply(out.std, self.fitted.wider, out=out.std)
+        return out
 
-    def _filtered(
-        self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
-    ) -> None:
-        """Fill loads, std and innovations of samples, without those of channels that the watch finds wrong."""
+    def nis(self, e: Array) -> Array:
+        """NIS (samples,) of normalised innovations (samples, sensors), over the number of channels that are there.
+
+        One is expected. By the correlation of the innovations at the settled gain, of the channels that are there;
+        NaN where none is.
+        """
+        there = np.isfinite(e)
+        out, whole = np.full(len(e), np.nan), there.all(axis=1)
+        patterns = [np.ones(e.shape[1], bool)] if whole.all() else np.unique(there, axis=0)
+        for pattern in patterns:
+            if not pattern.any():
+                continue
+            rows = (there == pattern).all(axis=1)
+            z = e[np.ix_(rows, pattern)]
+            if self.fitted.settled is not None:
+                root = self.fitted.settled.Se_root / self.fitted.settled.innovation_std[:, None]
+                z = solve_lower(lower(root[pattern]), z.T).T
+            out[rows] = np.mean(z**2, axis=1)
+        return out
+
+    def _filtered(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+        """Fill the rows of samples, without those of channels that the watch finds wrong."""
         self.row_alarms = np.zeros((len(Y), 2), int)
         if self._watch is None:
-            self._placed_block(Y, load, std, e, progress)
+            self._placed_block(Y, out, progress)
         start = 0
         while self._watch is not None and start < len(Y):
             taken, alarms, mixed = self._watch.feed(Y[start:])
             part = slice(start, start + len(taken))
             self.row_alarms[part] = alarms
-            self._placed_block(taken, load[part], std[part], e[part], progress)
+            self._placed_block(taken, out[part], progress)
+            load, std = out.load, out.std
             if mixed is not None:
                 load[part], std[part] = self._either(load[part], std[part], *mixed)
             load[part], std[part], self.row_alarms[part] = self._bounded(load[part], std[part], alarms)
             if self._watch.filled == 0:
                 self._settled(self._watch)
             start = part.stop
-        self._means.add(e)
+        self._means.add(out.e)
 
-    def _placed_block(
-        self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None
-    ) -> None:
-        """Fill loads, std and innovations of samples, which are kept where late ones may come."""
+    def _placed_block(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+        """Fill the rows of samples, which are kept where late ones may come."""
         if self._ring is None:
-            self._run(Y, load, std, e, progress)
+            self._run(Y, out, progress)
             return
         cuts = self._ring.cuts(len(Y))
         for start, stop in zip([0, *cuts], cuts, strict=False):
             part = slice(start, stop)
             if start in cuts:
                 self._ring.anchor(self._changing())
-            self._run(Y[part], load[part], std[part], e[part], progress)
+            self._run(Y[part], out[part], progress)
             self._ring.push(Y[part])
 
-    def _run(self, Y: Array, load: Array, std: Array, e: Array, progress: Callable[[float, str], None] | None) -> None:
-        """Fill loads, std and innovations of a block."""
+    def _run(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+        """Fill the rows of a block."""
         told = progress or (lambda share, text: None)
         size = 65_536
         for k in range(0, len(Y), size):
             part = slice(k, k + size)
             taken = Y[part].copy() if self._bank else None
             late = {} if self._late is None else {"late": self._late}
-            self._engine.block(Y[part], load[part], std[part], e[part], taken, **late)
+            load, std = out.load, out.std
+            self._engine.block(Y[part], load[part], std[part], out.e[part], taken, settled=out.settled[part], **late)
             if taken is not None:
                 between = np.zeros(load[part].shape)
                 other, unused = np.empty(load[part].shape), np.empty(load[part].shape)
@@ -470,16 +521,16 @@ class Running:
     def _again(self, Y: Array) -> tuple[Array, Array]:
         """The kept samples once more, from the older anchor on."""
         assert self._ring is not None
-        load, std, e = np.empty((len(Y), self._p)), np.empty((len(Y), self._p)), np.full(Y.shape, np.nan)
+        out = Rows.of(len(Y), self._p, Y.shape[1])
         marks = [k for k, _ in self._ring.anchors]
         self._restored(self._ring.anchors[0][1])
         anchors, ends = [], [*(k - marks[0] for k in marks), len(Y)]
         for k, start, stop in zip(marks, ends, ends[1:], strict=False):
             anchors.append((k, self._changing()))
             part = slice(start, stop)
-            self._run(Y[part], load[part], std[part], e[part], None)
+            self._run(Y[part], out[part], None)
         self._ring.anchors = anchors
-        return load, std
+        return out.load, out.std
 
     def _believable(self, Y: Any) -> Any:
         """Samples without those at the end of the range of their sensor, which are counted."""

@@ -84,7 +84,10 @@ class FilterpyEngine:
         P = self.model.Cp @ self.kf.P @ self.model.Cp.T
         return self.model.Cp @ self.kf.x, np.sqrt(np.maximum(np.diag(P), 0))
 
-    def block(self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None) -> None:
+    def block(
+        self, Y: Array, load: Array, std: Array, e: Array | None = None, taken_as: Array | None = None,
+        settled: NDArray[np.bool_] | None = None,
+    ) -> None:  # fmt: skip
         """Fill loads and std (samples, p) of a block (samples, m); normalised innovations where `e` is given."""
         for k, y in enumerate(Y):
             load[k], std[k] = self.step(y)
