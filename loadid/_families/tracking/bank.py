@@ -161,8 +161,9 @@ class Lifted:
 
     @cached_property
     def _moves(self) -> Array:
-        """The next prediction from a prediction and a sample, transposed (filters, n + m, n)."""
-        return np.ascontiguousarray(np.swapaxes(np.concatenate([self.A, self.B], axis=2), 1, 2))
+        """States and samples that are expected next, from a prediction and a sample (filters, n+m, n+m), transposed."""
+        ahead = np.concatenate([self.A, self.B], axis=2)
+        return np.ascontiguousarray(np.swapaxes(np.concatenate([ahead, self.H @ ahead], axis=1), 1, 2))
 
     @cached_property
     def _needed(self) -> Bits:
@@ -191,19 +192,21 @@ def _with_gaps(moves: Array, W: Array, H: Array, needed: Bits, Y: Array, x: Arra
     """
     q, m, n = W.shape[0], W.shape[1], x.shape[1]
     both, news, rest, work, ahead, at = (
-        np.zeros(n + m), np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros(n), np.zeros(m, np.int64),
+        np.zeros(n + m), np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros(n + m), np.zeros(m, np.int64),
     )  # fmt: skip
     for f in range(q):
+        for j in range(n):
+            ahead[j] = x[f, j]
+        for i in range(m):
+            ahead[n + i] = 0.0
+            for j in range(n):
+                ahead[n + i] += H[i, j] * x[f, j]
         for t in range(Y.shape[0]):
             gone = 0
-            for j in range(n):
-                both[j] = x[f, j]
+            for j in range(n + m):
+                both[j] = ahead[j]
             for i in range(m):
-                expected = 0.0
-                for j in range(n):
-                    expected += H[i, j] * both[j]
-                both[n + i] = expected
-                news[i] = Y[t, i] - expected
+                news[i] = Y[t, i] - both[n + i]
                 if not np.isfinite(Y[t, i]):
                     news[i] = 0.0
                     if needed[i]:
@@ -246,23 +249,23 @@ def _with_gaps(moves: Array, W: Array, H: Array, needed: Bits, Y: Array, x: Arra
                 for j in range(m):
                     z[f, t, i] += W[f, i, j] * news[j]
                 both[n + i] += news[i]
-            for j in range(n):
+            for j in range(n + m):
                 ahead[j] = 0.0
             k = 0
             while k + 4 <= n + m:
                 a, b, c, d = both[k], both[k + 1], both[k + 2], both[k + 3]
-                for j in range(n):
+                for j in range(n + m):
                     ahead[j] += (a * moves[f, k, j] + b * moves[f, k + 1, j]) + (
                         c * moves[f, k + 2, j] + d * moves[f, k + 3, j]
                     )
                 k += 4
             while k < n + m:
                 a = both[k]
-                for j in range(n):
+                for j in range(n + m):
                     ahead[j] += a * moves[f, k, j]
                 k += 1
-            for j in range(n):
-                x[f, j] = ahead[j]
+        for j in range(n):
+            x[f, j] = ahead[j]
 
 
 def _completed(news: Array, W: Array) -> Array:

@@ -415,7 +415,7 @@ class Watch:
         z, ahead = self.bank.hop(self.x, Y)
         kept, found, next_ones = Y, z, ahead
         for _ in range(FEW):
-            level = np.mean(np.nan_to_num(found[0]) ** 2, axis=1) / self.usual.squares[0]
+            level = self._levels(found[0])
             if level.mean() < USUAL:
                 return kept, found, next_ones
             loud = np.flatnonzero(level > SPIKE)
@@ -424,8 +424,14 @@ class Watch:
             kept = np.array(kept)
             kept[loud[0]] = np.nan
             found, next_ones = self.bank.hop(self.x, kept)
-        level = np.mean(np.nan_to_num(found[0]) ** 2, axis=1) / self.usual.squares[0]
+        level = self._levels(found[0])
         return (kept, found, next_ones) if level.mean() < USUAL else (Y, z, ahead)
+
+    def _levels(self, z: Array) -> Array:
+        """How loud each sample is to the filter with all channels, by its innovations (samples, m)."""
+        if not np.isfinite(z).all():
+            z = np.nan_to_num(z)
+        return np.asarray(np.add.reduce(z * z, axis=1) / z.shape[1] / self.usual.squares[0])
 
     def said(self, z: Array, Y: Array, out: NDArray[np.int_]) -> tuple[Array, Array, Array]:
         """Squares and number of the innovations of used channels; number, sum, squares, moment of left-out ones."""

@@ -525,10 +525,13 @@ def _roots(
             at[0] = n
         at[2] = k + 1
         start = half - at[4] % half
-        told = False
+        told = -1
         for i in range(half):
             runs[i] = runs[i] + 1 if ring[start + i] == names[k] else 0
-            told = told or runs[i] >= shown[i]
+            if told < 0 and runs[i] >= shown[i]:
+                told = i
+        if told >= 0 and whole and variance[0] >= 0.0 and runs[0] >= told:
+            told = -1  # all channels over all of the period
         ring[start - 1] = names[k]
         ring[start - 1 + half] = names[k]
         at[4] += 1
@@ -537,6 +540,6 @@ def _roots(
                 whole = whole and abs(spread[i] - variance[i]) <= near * variance[i]
             if whole:
                 return ARRIVED
-        if told:
+        if told >= 0:
             return SHOWN
     return WHOLE
