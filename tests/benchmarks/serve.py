@@ -94,12 +94,13 @@ def fleet(structures: int, seconds: int) -> None:
                     waited(lambda: (folder / "loads" / f"{names[-1]}.csv").stat().st_size > size, "a row")  # noqa: B023
                     late.append(time.monotonic() - sent)
             cpu, wall = spent(server.pid) - marks[0], seconds
-            memory = resident(server.pid)
+            memory, expected = resident(server.pid), 100 * len(parts) * structures
+            tables = sorted((folder / "loads").glob("*.csv"))
+            waited(lambda: sum(path.read_bytes().count(b"\n") - 1 for path in tables) >= expected, "the rows", 300)
             server.terminate()
             server.wait(120)
             client.loop_stop()
             rows = sum(path.read_bytes().count(b"\n") - 1 for path in (folder / "loads").glob("*.csv"))
-            expected = 100 * len(parts) * structures
     own = 1e6 * cpu / (100 * wall * structures)
     print(f"fleet of {structures} at 100 Hz: {cpu / wall:.0%} of a core, {own:.1f} us a row, {memory:.0f} MB, ready in "
           f"{ready:.0f} s; a row {1e3 * max(late):.0f} ms after its message; {rows} rows of {expected}")  # fmt: skip
