@@ -175,10 +175,15 @@ class Output:
             std = np.ascontiguousarray(std, float)
             ends = std.view(np.int64) if alarms is None else np.column_stack([std.view(np.int64), alarms])
             cuts = np.flatnonzero(np.any(ends[1:] != ends[:-1], axis=1)) + 1
-            rows, text = np.column_stack([times, load]).tolist(), []
-            for begin, stop in pairwise([0, *cuts.tolist(), len(rows)]):
-                end = std[begin].tolist() + ([] if alarms is None else alarms[begin].tolist())
-                text.append(_lines(rows[begin:stop], end))
+            rows = np.column_stack([times, load]).tolist()
+            tails = (
+                std.tolist() if alarms is None else [a + b for a, b in zip(std.tolist(), alarms.tolist(), strict=True)]
+            )
+            if 4 * len(cuts) > len(rows):
+                text = [_lines([row + tail for row, tail in zip(rows, tails, strict=True)], [])]
+            else:
+                parts = pairwise([0, *cuts.tolist(), len(rows)])
+                text = [_lines(rows[begin:stop], tails[begin]) for begin, stop in parts]
             self._put("".join(text).encode())
 
     def sync(self) -> None:
