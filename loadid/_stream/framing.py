@@ -365,7 +365,7 @@ class Lines:
 def _numbers(
     text: NDArray[np.int8], mark: int, tens: Array, longest: int, table: Array, others: NDArray[np.int64]
 ) -> int:
-    """Fill a table (lines, width) with the numbers of a text, NaN for an empty cell; -1 where it holds more.
+    """Fill a table (lines, width) with the numbers of a text, NaN for nan and an empty cell; -1 where it holds more.
 
     A decimal number is a whole one over or times a power of ten: where both are exact in float64, one rounding is right
     (W. D. Clinger, PLDI 1990), and where the first is not, a quotient with its rest (T. J. Dekker, Numer. Math. 18
@@ -412,6 +412,8 @@ def _numbers(
                     i += 1
                 power += -exponent if down else exponent
             end = i
+            if i == begin and text[i] | 32 == 110 and text[i + 1] | 32 == 97 and text[i + 2] | 32 == 110:  # nan
+                i += 3
             while text[i] == SPACE:
                 i += 1
             if column + 1 == width and text[i] == RETURN:

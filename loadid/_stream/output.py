@@ -98,7 +98,6 @@ def taken(file: BinaryIO) -> bool:
 
 TAIL = 256  # bytes before the end by which an output is known again
 LINE = 1 << 20  # bytes within which a line ends
-ALIKE = 0.25  # ends of rows that are another one than the last, from which all numbers of a row are written one by one
 NUMBERS = re.compile(rb"[-+.,einfa\d]*")  # of a row, whole or not
 
 
@@ -176,14 +175,15 @@ class Output:
             std = np.ascontiguousarray(std, float)
             ends = std.view(np.int64) if alarms is None else np.column_stack([std.view(np.int64), alarms])
             cuts = np.flatnonzero(np.any(ends[1:] != ends[:-1], axis=1)) + 1
-            rows, text = np.column_stack([times, load]).tolist(), []
-            if len(cuts) > ALIKE * len(rows):  # each its own end
-                marks = [[]] * len(rows) if alarms is None else alarms.tolist()
-                rows, cuts = [a + b + c for a, b, c in zip(rows, std.tolist(), marks, strict=True)], cuts[:0]
-                std, alarms = std[:, :0], None
-            for begin, stop in pairwise([0, *cuts.tolist(), len(rows)]):
-                end = std[begin].tolist() + ([] if alarms is None else alarms[begin].tolist())
-                text.append(_lines(rows[begin:stop], end))
+            rows = np.column_stack([times, load]).tolist()
+            tails = (
+                std.tolist() if alarms is None else [a + b for a, b in zip(std.tolist(), alarms.tolist(), strict=True)]
+            )
+            if 4 * len(cuts) > len(rows):  # nearly each has its own end
+                text = [_lines([row + tail for row, tail in zip(rows, tails, strict=True)], [])]
+            else:
+                parts = pairwise([0, *cuts.tolist(), len(rows)])
+                text = [_lines(rows[begin:stop], tails[begin]) for begin, stop in parts]
             self._put("".join(text).encode())
 
     def sync(self) -> None:

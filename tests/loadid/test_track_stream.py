@@ -78,19 +78,29 @@ def test_numbers_are_read_to_the_last_bit():
     lines = [b"%.*g,%.*g" % (k % 20, a, k % 7 + 14, b) for k, (a, b) in enumerate(values.tolist())]
     lines += [b"%d.%d,%d" % tuple(row) for row in rng.integers(1, 10**9, (4000, 3)) ** 2 // 7]
     lines += [b"%d.5,%d" % tuple(row) for row in rng.integers(2**52, 2**54, (4000, 2))]  # half way between two
-    lines += [b"-0,0.000", b"+.5,5.", b" 1E+2 ,1e-05", b"1e22,1e-22", b"1e23,1e400", b"9007199254740993,-0e9"]
+    lines += [
+        b"-0,0.000",
+        b"+.5,5.",
+        b" 1E+2 ,1e-05",
+        b"nan, NaN ",
+        b"1e22,1e-22",
+        b"1e23,1e400",
+        b"9007199254740993,-0e9",
+    ]
     lines += [b"%r,%r" % tuple(row) for row in values.tolist()]
     table, found, left = numbers(lines)
     right = np.array([[float(cell) for cell in line.split(b",")] for line in lines])
     told = np.array([[cell.strip() not in left for cell in line.split(b",")] for line in lines])
     assert found > 0
     assert np.mean(told) > 0.5
+    assert np.array_equal(np.isnan(table), np.isnan(right) & told)
+    told &= ~np.isnan(right)
     assert np.array_equal(table[told].view(np.int64), right[told].view(np.int64))
 
 
 @pytest.mark.parametrize(
     "line", [b"", b"1", b"1,2,3", b"x,1", b"1,-", b"1,.", b"1,e5", b"1,2e", b"1,2 3", b"1,1_0", b"1,--2", b"1.2.3,1",
-             b"1;2", b"#1,2", b"1,\xb2", b"1,0x1", b"nan,1", b"1,2\r\r", b"1," + b"1" * 99],
+             b"1;2", b"#1,2", b"1,\xb2", b"1,0x1", b"nan1,1", b"1,na", b"-nan,1", b"1,2\r\r", b"1," + b"1" * 99],
 )  # fmt: skip
 def test_other_text_than_numbers_is_left_alone(line):
     assert numbers([b"1,2", line, b"3,4"])[1] == -1
@@ -391,7 +401,9 @@ def test_rows_are_written_with_all_their_digits(tmp_path, alarms):
     std[1:6], load[3], std[9] = std[0], np.nan, -0.0
     output = Output(str(tmp_path / "o"), ["t", "p", "q", "std p", "std q"] + ["code", "channel"] * (alarms is not None))
     output.write(t, load, std, alarms)
+    output.write(t, load, np.add.outer(t, load[0]), alarms)  # another std in every row
     output.close()
     ends = [[]] * 12 if alarms is None else alarms.tolist()
-    rows = [[*a, *b] for a, b in zip(np.column_stack([t, load, std]).tolist(), ends, strict=True)]
+    both = [np.column_stack([t, load, band]) for band in (std, np.add.outer(t, load[0]))]
+    rows = [[*a, *b] for a, b in zip(np.concatenate(both).tolist(), [*ends, *ends], strict=True)]
     assert (tmp_path / "o").read_text().split("\n")[1:-1] == [",".join(map(repr, row)) for row in rows]
