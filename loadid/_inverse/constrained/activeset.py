@@ -94,7 +94,7 @@ def solve(
 
 def _bounds_only(q: Quadratic, b: Array, s: Feasible, start: ActivePoint, cap: int) -> ActivePoint:
     """Start from what block exchanges reach; Newton then checks it, and takes a last step where it must."""
-    aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
+    aim = start.h - q.tau * q.gradient(start.h, b)[0] if start.aim is None else start.aim
     low, high = aim <= s.lower, aim >= s.upper if np.any(np.isfinite(s.upper)) else None
     try:
         found = exchange(DenseNormal(q, b), s.lower, s.upper, low, high, patience=PATIENCE, eager=EAGER, cap=cap)
@@ -166,8 +166,7 @@ class _State:
 
 
 def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array, prox: Prox | None) -> _State:
-    image = q.A @ h
-    gradient = (image - b) @ q.A
+    gradient, size = q.gradient(h, b)
     total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
     tau = q.tau
     if prox is not None:
@@ -181,11 +180,11 @@ def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array
         off = s.equal.matrix @ h - s.equal.value
         error = max(error, float((np.abs(off) / np.sqrt(s.equal.matrix**2 @ tau)).max()))
     if len(s.below):
-        size = s.below.matrix**2 @ tau
-        wanted = kappa + (s.below.matrix @ h - s.below.value) / size
-        error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(size)).max()))
+        reach = s.below.matrix**2 @ tau
+        wanted = kappa + (s.below.matrix @ h - s.below.value) / reach
+        error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(reach)).max()))
         active = np.flatnonzero(wanted > 0)
-    scale = max(float(np.linalg.norm(b)), float(np.linalg.norm(image)), np.finfo(float).tiny)
+    scale = max(float(np.linalg.norm(b)), size, np.finfo(float).tiny)
     return _State(gradient, aim, face, active, error / scale)
 
 
@@ -266,7 +265,7 @@ def _homotopy(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> Active
 def interior_point(quadratic: Quadratic, b: Array, feasible: Feasible) -> ActivePoint | None:
     """Solution by clarabel in scaled unknowns, moved into the intervals and cones; None if it fails."""
     w = np.sqrt(quadratic.tau)
-    right = (b @ quadratic.A) * w
+    right = -quadratic.gradient(np.zeros(quadratic.n), b)[0] * w
     size = float(np.abs(right).max(initial=0.0)) or 1.0
     found = conic_minimum(quadratic.G * w[:, None] * w, -right / size, feasible, w, size)
     if not found.solved:

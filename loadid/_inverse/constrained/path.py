@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
+from .few import FewFace
 from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
 
@@ -33,68 +34,74 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Directions in which the estimate may move, as a factor of its inverse Hessian.
+    """How the estimate moves with the data where its face stays.
 
     Parameters
     ----------
-    loads : array, shape (n, d)
-        ``loads @ loads.T`` is the inverse of the Hessian of half the objective on the face, curvature included.
-    data : array, shape (rows, d)
-        The same directions in the whitened response: ``data.T @ data`` is the share that comes from the data.
-    other : array, shape (rows, d)
-        Their complement, from the penalty and the curvature of the cones: the two together are orthonormal.
+    passed, left : array, shape (modes,)
+        Eigenvalues of the derivative of the predicted response by the data, and their complements, formed without
+        subtraction. Data beyond the modes are left whole.
     sensitivity : float
         Norm of lambda dg/dlambda.
+    factor : callable
+        Makes the factor F (n, directions), the modes first: ``F F^T`` is the inverse of the Hessian of half the
+        objective on the face, curvature included.
     """
 
-    loads: Array
-    data: Array
-    other: Array
+    passed: Array
+    left: Array
     sensitivity: float
+    factor: Callable[[], Array]
 
     @classmethod
     def of(cls, solver: ConstrainedSolver, y: Array, p: ActivePoint, s: Feasible) -> Tangent:
         """At the solution of one vector of data."""
         q = solver.quadratic
-        push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
+        push = q.gradient(p.h, solver.compress(y)[0])[0] + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
         face = ActiveFace.near(s, p.h - q.tau * push)
-        S = q.shrink(face, np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]]))
+        rows = np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]])
+        few = q.few(face, rows)
+        if few is not None:
+            sensitivity = 2 * few.change(face.turn(solver.lam**2 * p.h)[~face.held])
+            return cls(few.passed, few.left, sensitivity, partial(_on_all, few, face, s))
+        S = q.shrink(face, rows)
         image = q.A @ S
         prior, bend = solver.prior[:, None] * image, face.curvature(q.tau)
         curved = np.sqrt(bend[bend > 0])[:, None] * face.turn(S)[bend > 0]
         moved = S @ (prior.T @ (solver.prior * (q.A @ p.h)))
-        return cls(
-            s.to_global(S), solver.seen[:, None] * image, np.vstack([prior, curved]), 2 * float(np.linalg.norm(moved))
-        )
+        met = solver.seen > 0
+        _, c, V = np.linalg.svd(solver.seen[met, None] * image[met], full_matrices=False)
+        left = sum(np.sum((part @ V.T) ** 2, axis=0) for part in (prior, curved))
+        return cls(np.minimum(c**2, 1.0), left, 2 * float(np.linalg.norm(moved)), partial(_turned, V, s.to_global(S)))
 
-    @property
-    def edf(self) -> float:
-        """Divergence of the predicted response by the data."""
-        return float(np.sum(self.data**2))
+    def scalars(self, m: int) -> tuple[float, ...]:
+        """Sums for m data, with the derivative A: tr A, tr A^2, m - tr A, tr (I - A)^2, tr (I - A)^4, sensitivity."""
+        a, b, beyond = self.passed, self.left, m - len(self.left)
+        rest = (beyond + float(np.sum(b**k)) for k in (1, 2, 4))
+        return float(a.sum()), float(a @ a), *rest, self.sensitivity
 
-    @property
-    def edf2(self) -> float:
-        """Trace of the square of that derivative."""
-        seen = self.data[np.any(self.data, axis=1)]  # modes that meet no data have no rows
-        seen = seen if len(seen) <= seen.shape[1] else seen.T
-        return float(np.sum((seen @ seen.T) ** 2))
 
-    def rest(self, m: int) -> tuple[float, float, float]:
-        """What is left, m - edf, tr (I - A)^2 and tr (I - A)^4 of the derivative A, from the complement."""
-        other = self.other
-        E = np.einsum("ki,kj->ij", other, other, optimize=True)
-        beyond = m - E.shape[0]
-        return beyond + float(np.trace(E)), beyond + float(np.sum(E**2)), beyond + float(np.sum((E @ E) ** 2))
+def _turned(V: Array, S: Array) -> Array:
+    """A factor whose first directions are those of the rows V, which are orthonormal."""
+    return np.asarray(S @ np.linalg.qr(V.T, mode="complete")[0])
+
+
+def _on_all(few: FewFace, face: ActiveFace, s: Feasible) -> Array:
+    """Factor over all loads from that on a face."""
+    own = few.factor
+    out = np.zeros((len(face.share), own.shape[1]))
+    out[~face.held] = own
+    return s.to_global(face.back(out))
 
 
 def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], frames: int | None) -> Posterior:
     """Gaussian posterior on the active faces, in modes that split the share of the noise from that of the prior."""
     each = []
     for t in faces:
-        _, s, Vt = np.linalg.svd(t.data, full_matrices=False)
-        passed = np.zeros(t.loads.shape[1])
-        passed[: len(s)] = np.minimum(s**2, 1.0)
-        each.append(FacePosterior(sigma * t.loads @ Vt.T, shape, passed=passed))
+        factor = t.factor()
+        passed, modes = np.zeros(factor.shape[1]), min(factor.shape[1], len(t.passed))
+        passed[:modes] = t.passed[:modes]
+        each.append(FacePosterior(sigma * factor, shape, passed=passed))
     return each[0] if frames is None else FramesPosterior(each)
 
 
@@ -266,12 +273,15 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="a finite number >= 0")
         if lam not in self._solvers:
             self._solvers[lam] = ConstrainedSolver(
-                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._grams
+                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._given_grams
             )
             while len(self._solvers) > KEPT:
                 self._solvers.popitem(last=False)
         self._solvers.move_to_end(lam)
         return self._solvers[lam]
+
+    def _given_grams(self) -> tuple[Array, Array]:
+        return self._grams
 
     @cached_property
     def _grams(self) -> tuple[Array, Array]:
@@ -311,9 +321,9 @@ class ConstrainedPath(RegularizationPath):
             rest = column - problem.H @ g
             rough = g if problem.L is None else problem.L @ g
             residual2, penalty2 = float(rest @ rest), float(rough @ rough)
-            t = self._tangent(lam, k)
-            change2 += t.sensitivity**2
-            total += [residual2, penalty2, t.edf, t.edf2, *t.rest(len(column)), 0.0, residual2 + absolute2 * penalty2]
+            *sums, change = self._tangent(lam, k).scalars(len(column))
+            change2 += change**2
+            total += [residual2, penalty2, *sums, 0.0, residual2 + absolute2 * penalty2]
         total[7] = np.sqrt(change2)
         return total
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,9 +15,11 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import CAP, ActivePoint
 from .feasible import Feasible
+from .few import FewRows
 from .quadratic import ActiveFace, Quadratic, gram_of
 
 Array = NDArray[np.float64]
+FEW = 0.5  # share of the modes that meets data up to which faces are solved by their rows
 Index = NDArray[np.int_]
 
 
@@ -249,13 +251,13 @@ class ConstrainedSolver:
         Absolute lambda.
     sigma : float
         Noise level of the whitened data, which soft resultants are weighed against.
-    grams : (array, array), optional
-        Gram matrices of operator and penalty in local unknowns (`grams`), which are the same at every lambda.
+    grams : callable, optional
+        Gives the Gram matrices of operator and penalty in local unknowns (`grams`), the same at every lambda.
     """
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: tuple[Array, Array] | None = None,
+        grams: Callable[[], tuple[Array, Array]] | None = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -264,8 +266,21 @@ class ConstrainedSolver:
         d = np.sqrt(c**2 + (self.lam * s) ** 2)
         safe = np.where(d > 0, d, 1.0)
         self.weights, self.seen, self.prior = d, c / safe, self.lam * s / safe
-        whole = None if grams is None else grams[0] + self.lam**2 * grams[1]
-        self.quadratic = Quadratic(feasible.columns(base.Y.T * d[:, None]), feasible, whole)
+        self.quadratic = self._few() or Quadratic(
+            self._rows(), feasible, None if grams is None else grams()[0] + self.lam**2 * grams()[1]
+        )
+
+    def _rows(self) -> Array:
+        """Rows of the compressed objective."""
+        return self.feasible.columns(self.base.Y.T * self.weights[:, None])
+
+    def _few(self) -> FewRows | None:
+        """The objective where few modes meet data, and the prior is that of loads of equal variance."""
+        met = int(np.count_nonzero(self.base.c))
+        if not self.base.orthonormal or not self.lam > 0 or met > FEW * len(self.base.c):
+            return None
+        C = self.feasible.columns(self.base.Y[:, :met].T * self.base.c[:met, None])
+        return FewRows(C, 1 / self.seen[:met], self.lam, self.feasible, self._rows)
 
     # -- data ---------------------------------------------------------------------------------------------------------
     def compress(self, y: Array) -> tuple[Array, Array]:
@@ -360,7 +375,7 @@ class ConstrainedSolver:
         slope = np.zeros(feasible.n)
         if len(feasible.keep) < feasible.n:  # the gradient by all loads, removed ones too
             slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))
-        force = (self.quadratic.A @ p.h - b) @ self.quadratic.A
+        force = self.quadratic.gradient(p.h, b)[0]
         push = force + p.nu @ feasible.equal.matrix + p.kappa @ feasible.below.matrix
         face = ActiveFace.near(feasible, p.h - self.quadratic.tau * push)
         rows = by_constraint(self.constraints, feasible, p, face, slope, push)
