@@ -76,7 +76,7 @@ def solve(
     if feasible.simple and not feasible.cones and quadratic.well:
         here = _bounds_only(quadratic, b, feasible, here, cap)
     plane = _rows_only(feasible)
-    if plane and not quadratic.well:
+    if plane and not (quadratic.well or quadratic.exact):
         here = _on_plane(quadratic, b, feasible, here)
     found = newton(quadratic, b, feasible, here, cap=cap)
     routes = [] if plane else [_homotopy, _from_inside]  # a plane has one face: no route leads to a better one
@@ -267,7 +267,9 @@ def interior_point(quadratic: Quadratic, b: Array, feasible: Feasible) -> Active
     w = np.sqrt(quadratic.tau)
     right = -quadratic.gradient(np.zeros(quadratic.n), b)[0] * w
     size = float(np.abs(right).max(initial=0.0)) or 1.0
-    found = conic_minimum(quadratic.G * w[:, None] * w, -right / size, feasible, w, size)
+    own, image = quadratic.parts
+    own = own * w**2 if own.ndim == 1 else own * w[:, None] * w
+    found = conic_minimum(own, -right / size, feasible, w, size, image=None if image is None else image * w)
     if not found.solved:
         return None
     k, j = len(feasible.equal), len(feasible.below)
@@ -296,19 +298,30 @@ class ConicAnswer:
         return self.status in ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
-def conic_minimum(P: Array, c: Array, s: Feasible, w: Array, size: float, tol: float = 1e-11) -> ConicAnswer:
-    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
+def conic_minimum(
+    P: Array, c: Array, s: Feasible, w: Array, size: float, tol: float = 1e-11, image: Array | None = None
+) -> ConicAnswer:
+    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x; P a matrix or its diagonal.
+
+    Few rows `image` add half of |image x|^2: what they make of x are unknowns of their own, so that nothing of the
+    size of the loads squared is factored.
+    """
     import clarabel
     import scipy.sparse as sp
 
     matrix, value, kinds = _standard_form(s)
-    A = sp.csc_matrix(matrix @ sp.diags(w))
+    A, rows = sp.csc_matrix(matrix @ sp.diags(w)), 0 if image is None else len(image)
+    value, upper = value / size, sp.diags(P) if P.ndim == 1 else sp.csc_matrix(np.triu(P))
+    if image is not None:
+        A = sp.block_array([[sp.csc_matrix(image), -sp.identity(rows)], [A, None]], format="csc")
+        upper, value = sp.block_diag([upper, sp.identity(rows)]), np.concatenate([np.zeros(rows), value])
+        kinds, c = [clarabel.ZeroConeT(rows), *kinds], np.concatenate([c, np.zeros(rows)])
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tol
-    solver = clarabel.DefaultSolver(sp.csc_matrix(np.triu(P)), c, A, value / size, kinds, settings)
-    found = solver.solve()
-    return ConicAnswer(str(found.status).rsplit(".", 1)[-1], np.asarray(found.x), np.asarray(found.z))
+    found = clarabel.DefaultSolver(sp.csc_matrix(upper), c, A, value, kinds, settings).solve()
+    x, dual = np.asarray(found.x)[: len(w)], np.asarray(found.z)[rows:]
+    return ConicAnswer(str(found.status).rsplit(".", 1)[-1], x, dual)
 
 
 def _standard_form(s: Feasible) -> tuple[Any, Array, list[Any]]:
@@ -363,7 +376,7 @@ def refuse_empty(feasible: Feasible) -> None:
     finite = [np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in (
         feasible.equal.value, feasible.below.value, feasible.lower, feasible.upper)]  # fmt: skip
     size = float(max(finite)) or 1.0
-    found = conic_minimum(np.eye(n), np.zeros(n), feasible, np.ones(n), size, tol=1e-8)
+    found = conic_minimum(np.ones(n), np.zeros(n), feasible, np.ones(n), size, tol=1e-8)
     if not found.empty:
         return
     matrix, value, _ = _standard_form(feasible)

@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 
+REFINEMENTS = 2  # of a step by the Gram matrix, each of which adds the digits that its condition leaves
+
+
 class FewRows(Quadratic):
     """|C h - c|^2 + lam^2 |h|^2 with few rows C, far fewer than unknowns.
 
@@ -35,7 +38,7 @@ class FewRows(Quadratic):
         Makes A, shape (n, n), where it is asked for.
     """
 
-    well, precision = True, 1e-14  # its steps stay exact where A is ill-conditioned
+    exact, precision = True, 1e-14
 
     def __init__(
         self, C: Array, shares: Array, lam: float, feasible: Feasible, whole: Callable[[], Array]
@@ -43,7 +46,8 @@ class FewRows(Quadratic):
         self.C, self.shares, self.lam2, self.n, self._whole = C, shares, lam**2, C.shape[1], whole
         own = np.einsum("ij,ij->j", C, C) + self.lam2
         self.tau = lengths(own, feasible)
-        self.fair = self.lam2 > FAIR * float(np.max(np.sum(C**2, axis=1), initial=0.0))
+        condition = self.lam2 / (self.lam2 + float(np.max(np.sum(C**2, axis=1), initial=0.0)))
+        self.well, self.fair = condition > WELL, condition > FAIR
 
     @cached_property
     def A(self) -> Array:  # type: ignore[override]
@@ -74,6 +78,11 @@ class FewRows(Quadratic):
     def factor(self, weight: Array) -> Factor:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
         return FewFactor(self.C, self.lam2, weight)
+
+    @property
+    def parts(self) -> tuple[Array, Array]:
+        """The diagonal, and the rows."""
+        return np.full(self.n, self.lam2), self.C
 
     def few(self, face: ActiveFace, C: Array) -> FewFace:
         """The face in the modes of few rows, with the rows C held."""
@@ -122,6 +131,10 @@ class FewFace:
         fixed = self.Q @ ((self.turn @ short) / self.size)
         inside = p - self.Q @ (self.Q.T @ p)
         z = fixed - inside - self._back(rest + self.all @ fixed - self.W @ inside)
+        for _ in range(0 if self._dual is None else REFINEMENTS):
+            lacks = (rest + self.all @ z) @ self.all + z + p
+            lacks = lacks - self.Q @ (self.Q.T @ lacks)
+            z = z - lacks + self._back(self.W @ lacks)
         gradient = (rest + self.all @ z) @ self.all + z + p
         return z / self.root, -self.turn.T @ ((self.Q.T @ gradient) / self.size)
 

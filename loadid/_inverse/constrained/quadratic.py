@@ -143,6 +143,7 @@ class Quadratic:
         A^T A, where it is known.
     """
 
+    exact = False  # whether a step has all its digits where A is ill-conditioned, rows that hold or none
     precision = 1.0  # gradient on free unknowns, over the largest of A^T b, above which a solution is refined
 
     def __init__(self, A: Array, feasible: Feasible, gram: Array | None = None) -> None:
@@ -178,6 +179,11 @@ class Quadratic:
     def factor(self, weight: Array) -> Factor:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
         return CholeskyFactor(self.G, weight)
+
+    @property
+    def parts(self) -> tuple[Array, Array | None]:
+        """A^T A; or a diagonal, and few rows whose Gram matrix it lacks."""
+        return self.G, None
 
     def few(self, face: ActiveFace, C: Array) -> FewFace | None:
         """The face in the modes of few rows; None where there are many."""
