@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..gaussian.compiled import Compiled
 from .feasible import Feasible
 from .quadratic import FAIR, WELL, ActiveFace, Factor, Quadratic, gram_of, lengths
 
@@ -15,15 +17,17 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int_]
 
 
+EPS = float(np.finfo(float).eps)
+NARROW = 16  # columns that rows of a penalty reach over, at most
 REFINEMENTS = 2  # of a step by the Gram matrix, each of which adds the digits that its condition leaves
 
 
 class FewRows(Quadratic):
-    """|C h - c|^2 + lam^2 |h|^2 with few rows C, far fewer than unknowns.
+    """|C h - c|^2 + lam^2 |L h|^2 with few rows C, far fewer than unknowns, and L the identity or with a narrow band.
 
-    Divided by the root of lam^2 and of what the cones add, which is diagonal, a face is I + W^T W with as few rows W:
-    its steps are taken in so many unknowns, by the Gram matrix I + W W^T of the dual problem where it is well
-    conditioned, else by the SVD of W (Golub & Van Loan, Matrix Computations, 4th ed., sections 2.1.4 and 6.1).
+    Divided by the root of lam^2 L^T L and of what the cones add, a face is I + W^T W with as few rows W: its steps are
+    taken in so many unknowns, by the Gram matrix I + W W^T of the dual problem where it is well conditioned, else by
+    the SVD of W (Golub & Van Loan, Matrix Computations, 4th ed., sections 2.1.4 and 6.1).
 
     Parameters
     ----------
@@ -32,21 +36,27 @@ class FewRows(Quadratic):
     shares : array, shape (rows,)
         Rows of A over those of C.
     lam : float
-        Root of what the prior adds to the diagonal of A^T A, > 0.
+        Absolute lambda, > 0.
+    scale : float
+        Lambda at which the prior weighs as much as the best seen mode.
+    L : sparse array, optional
+        Penalty of the unknowns; default the identity. With it there are no cones.
     feasible : Feasible
     whole : callable
         Makes A, shape (n, n), where it is asked for.
     """
 
-    exact, precision = True, 1e-14
+    exact, precision = True, 1e-12
 
     def __init__(
-        self, C: Array, shares: Array, lam: float, feasible: Feasible, whole: Callable[[], Array]
+        self, C: Array, shares: Array, lam: float, scale: float, feasible: Feasible, whole: Callable[[], Array],
+        L: Any = None,
     ) -> None:  # fmt: skip
         self.C, self.shares, self.lam2, self.n, self._whole = C, shares, lam**2, C.shape[1], whole
-        own = np.einsum("ij,ij->j", C, C) + self.lam2
-        self.tau = lengths(own, feasible)
-        condition = self.lam2 / (self.lam2 + float(np.max(np.sum(C**2, axis=1), initial=0.0)))
+        self.L, self.lam, self._back = L, lam, None if L is None else L.T
+        own = 1.0 if L is None else np.asarray((L * L).sum(axis=0)).ravel()
+        self.tau = lengths(np.einsum("ij,ij->j", C, C) + self.lam2 * own, feasible)
+        condition = self.lam2 / (self.lam2 + scale**2)
         self.well, self.fair = condition > WELL, condition > FAIR
 
     @cached_property
@@ -67,31 +77,40 @@ class FewRows(Quadratic):
 
     def gradient(self, h: Array, b: Array) -> tuple[Array, float]:
         """A^T (A h - b), and the norm of A h."""
-        (data, beyond), image = self._data(b), self.C @ h
-        size = np.sqrt(image @ image + self.lam2 * (h @ h))
-        return (image - data) @ self.C + self.lam2 * h - beyond, float(size)
+        (data, beyond), image, rough = self._data(b), self.C @ h, self.rough(h)
+        size = np.sqrt(image @ image + h @ rough)
+        return (image - data) @ self.C + rough - beyond, float(size)
+
+    def rough(self, h: Array) -> Array:
+        """Gradient of the prior, lam^2 L^T L h."""
+        return self.lam2 * (h if self.L is None else self._back @ (self.L @ h))
 
     def apply(self, h: Array) -> Array:
         """A^T A h."""
-        return np.asarray((self.C @ h) @ self.C + self.lam2 * h)
+        return np.asarray((self.C @ h) @ self.C + self.rough(h))
 
     def factor(self, weight: Array) -> Factor:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
-        return FewFactor(self.C, self.lam2, weight)
+        return FewFactor(self, weight)
 
     @property
     def parts(self) -> tuple[Array, Array]:
-        """The diagonal, and the rows."""
-        return np.full(self.n, self.lam2), self.C
+        """The prior, a diagonal or a matrix, and the rows."""
+        return np.full(self.n, self.lam2) if self.L is None else self.lam2 * (self.L.T @ self.L).toarray(), self.C
 
-    def few(self, face: ActiveFace, C: Array) -> FewFace:
-        """The face in the modes of few rows, with the rows C held."""
+    def root(self, f: Index, more: Array) -> Root:
+        """Root of the prior with a diagonal that the unknowns `f` have besides."""
+        return Scales(np.sqrt(self.lam2 + more)) if self.L is None else Band.of(self.L, f, self.lam, np.sqrt(more))
+
+    def few(self, face: ActiveFace, C: Array) -> FewFace | None:
+        """The face in the modes of few rows, with the rows C held; None where these meet what no penalty sees."""
         f = np.flatnonzero(~face.held)
-        return FewFace(face.columns(self.C)[:, f], self.lam2 + face.curvature(self.tau)[f], face.columns(C)[:, f])
+        found = FewFace(face.columns(self.C)[:, f], self.root(f, face.curvature(self.tau)[f]), face.columns(C)[:, f])
+        return None if len(C) and len(found.free) else found
 
     def dual_energy(self, delta: Array, h: Array) -> float:
         """Half of |A^-T delta|^2: what a gradient left over can lower half the objective by, anywhere."""
-        free = FewFace(self.C, np.full(self.n, self.lam2), np.zeros((0, self.n)))
+        free = FewFace(self.C, self.root(np.arange(self.n), np.zeros(self.n)), np.zeros((0, self.n)))
         return float(0.5 * delta @ -free.step(np.zeros(len(self.C)), delta, np.zeros(0))[0])
 
     def _solve(
@@ -100,34 +119,211 @@ class FewRows(Quadratic):
     ) -> tuple[Array, Array]:  # fmt: skip
         data, beyond = self._data(b)
         h = h + face.back(d0)
-        slope = face.turn(self.lam2 * h - beyond)[f] + lean
-        return FewFace(face.columns(self.C)[:, f], self.lam2 + stiff, Ct).step(self.C @ h - data, slope, short)
+        slope = face.turn(self.rough(h) - beyond)[f] + lean
+        return FewFace(face.columns(self.C)[:, f], self.root(f, stiff), Ct).step(self.C @ h - data, slope, short)
+
+
+class Root(Protocol):
+    """Root R of a prior, R^T R, with the unknowns that it leaves free grounded."""
+
+    free: Index  # unknowns z = R x that the prior does not see
+
+    def rows(self, V: Array) -> Array:
+        """V R^-1 of rows V (..., f)."""
+        ...
+
+    def up(self, z: Array) -> Array:
+        """R^-1 z."""
+        ...
+
+
+class Scales:
+    """A diagonal one."""
+
+    free = np.zeros(0, int)
+
+    def __init__(self, root: Array) -> None:
+        self.root = root
+
+    def rows(self, V: Array) -> Array:
+        """V R^-1 of rows V (..., f)."""
+        return np.asarray(V / self.root)
+
+    def up(self, z: Array) -> Array:
+        """R^-1 z."""
+        return np.asarray((z.T / self.root).T)
+
+
+class Band:
+    """A triangle with a band, shape (f, band), by Givens rotations of the rows of a sparse penalty."""
+
+    def __init__(self, R: Array, free: Index) -> None:
+        self.R, self.free = R, free
+
+    @classmethod
+    def of(cls, L: Any, f: Index, lam: float, diagonal: Array) -> Band:
+        """Of the columns `f` of ``lam L`` with a diagonal below."""
+        place = np.full(L.shape[1], -1)
+        place[f] = np.arange(len(f))
+        R = np.zeros((len(f), width(L)))
+        R[:, 0] = diagonal
+        rotate(L.indptr, L.indices, lam * L.data, place, R)
+        free = R[:, 0] == 0.0
+        R[free, 0] = np.abs(R[:, 0]).max(initial=0.0) or 1.0
+        return cls(R, np.flatnonzero(free))
+
+    def rows(self, V: Array) -> Array:
+        """V R^-1 of rows V (..., f)."""
+        out = np.array(np.atleast_2d(V).T, float, order="C")
+        down(self.R, out)
+        return out.T if V.ndim > 1 else out[:, 0]
+
+    def up(self, z: Array) -> Array:
+        """R^-1 z."""
+        out = np.array(z.reshape(len(z), -1), float, order="C")
+        back(self.R, out)
+        return out.reshape(z.shape)
+
+
+def width(L: Any) -> int:
+    """Columns from the first to the last of a sparse row, at most."""
+    rows = np.diff(L.indptr) > 0
+    if not np.any(rows):
+        return 1
+    starts = L.indptr[:-1][rows]
+    return int((np.maximum.reduceat(L.indices, starts) - np.minimum.reduceat(L.indices, starts)).max()) + 1
+
+
+@Compiled
+def rotate(indptr: Index, indices: Index, data: Array, place: Index, R: Array) -> None:
+    """Rotate the sparse rows into the triangle R (f, band); what a pivot lacks goes on to the later rows."""
+    n, band = R.shape
+    row, least = np.zeros(n + band), 0.0
+    for i in range(len(indptr) - 1 + n):
+        last = i - len(indptr) + 1
+        if last == 0:
+            least = 100 * n * EPS * np.abs(R[:, 0]).max()
+        first = n
+        if last < 0:
+            for k in range(indptr[i], indptr[i + 1]):
+                j = place[indices[k]]
+                if j >= 0:
+                    row[j] += data[k]
+                    first = min(first, j)
+        elif abs(R[last, 0]) <= least:
+            R[last, 0] = 0.0
+            for k in range(1, band):
+                row[last + k] = R[last, k]
+                R[last, k] = 0.0
+            first = last + 1
+        for j in range(first, n):
+            a, b = R[j, 0], row[j]
+            if b == 0.0:
+                done = True
+                for k in range(1, band):
+                    done = done and row[j + k] == 0.0
+                if done:
+                    break
+                continue
+            r = np.hypot(a, b)
+            c, s = a / r, b / r
+            for k in range(band):
+                x, y = R[j, k], row[j + k]
+                R[j, k] = c * x + s * y
+                row[j + k] = c * y - s * x
+            row[j] = 0.0
+
+
+@Compiled
+def down(R: Array, X: Array) -> None:
+    """Put R^-T X into X, for the triangle R (f, band)."""
+    n, band = R.shape
+    for j in range(n):
+        for k in range(max(0, j - band + 1), j):
+            a = R[k, j - k]
+            if a != 0.0:
+                for c in range(X.shape[1]):
+                    X[j, c] -= a * X[k, c]
+        a = 1.0 / R[j, 0]
+        for c in range(X.shape[1]):
+            X[j, c] *= a
+
+
+@Compiled
+def back(R: Array, X: Array) -> None:
+    """Put R^-1 X into X, for the triangle R (f, band)."""
+    n, band = R.shape
+    for i in range(n):
+        j = n - 1 - i
+        for k in range(1, min(band, n - j)):
+            a = R[j, k]
+            if a != 0.0:
+                for c in range(X.shape[1]):
+                    X[j, c] -= a * X[j + k, c]
+        a = 1.0 / R[j, 0]
+        for c in range(X.shape[1]):
+            X[j, c] *= a
 
 
 class FewFace:
-    """A face of few rows: ``C^T C + diag(own)`` where rows E are held, in unknowns ``z = sqrt(own) x``.
+    """A face of few rows: ``C^T C + R^T R`` where rows E are held, in unknowns ``z = R x``.
+
+    What the prior leaves free, as many rows see: turned so that no other does, they are its prior (Elden, BIT 17 (1977)
+    134, for this standard form).
 
     Parameters
     ----------
     C, E : array, shape (rows, f), (held rows, f)
-    own : array, shape (f,)
-        > 0.
+    root : Root
     """
 
-    def __init__(self, C: Array, own: Array, E: Array) -> None:
-        self.root = np.sqrt(own)
-        self.all = C / self.root
-        self.Q, self.size, self.turn = np.zeros((len(own), 0)), np.zeros(0), np.zeros((0, len(E)))
+    def __init__(self, C: Array, root: Root, E: Array) -> None:
+        self.root, self.free = root, root.free
+        self.all = root.rows(C)
+        if len(self.free):
+            self._ground()
         self.W = self.all
+        self.Q, self.size, self.turn = np.zeros((self.all.shape[1], 0)), np.zeros(0), np.zeros((0, len(E)))
         if len(E):
-            Q, size, turn = np.linalg.svd((E / self.root).T, full_matrices=False)
+            Q, size, turn = np.linalg.svd(self._rows(E).T, full_matrices=False)
             keep = size > 1e-13 * size.max(initial=0.0)  # rows that follow from each other hold no more
             self.Q, self.size, self.turn = Q[:, keep], size[keep], turn[keep]
             self.W = self.all - (self.all @ self.Q) @ self.Q.T
 
+    def _ground(self) -> None:
+        """Take the rows that see what the prior leaves free for its unknowns: ``y = seen z``."""
+        k, self._old = len(self.free), self.all
+        self._P, T = np.linalg.qr(self.all[:, self.free], mode="complete")
+        turned = self._P.T @ self.all
+        self._seen, self._T = turned[:k].copy(), T[:k]
+        self._seen[:, self.free] = 0.0
+        self.all = turned
+        self.all[:k] = 0.0
+        self.all[:, self.free] = 0.0
+
+    def _rows(self, V: Array) -> Array:
+        """Rows, or one, of the unknowns x, for the unknowns z."""
+        V = np.array(self.root.rows(V))
+        if len(self.free):
+            own = np.linalg.solve(self._T.T, V[..., self.free].T).T
+            V -= own @ self._seen
+            V[..., self.free] = own
+        return V
+
+    def _up(self, z: Array) -> Array:
+        """Unknowns x of z."""
+        if len(self.free):
+            z = np.array(z)
+            z[self.free] = np.linalg.solve(self._T, z[self.free] - self._seen @ z)
+        return self.root.up(z)
+
     def step(self, rest: Array, slope: Array, short: Array) -> tuple[Array, Array]:
-        """Minimiser x of ``|C x + rest|^2 + x own x + 2 slope x`` where ``E x = short``, and the multipliers of E."""
-        p = slope / self.root
+        """Minimiser x of ``|C x + rest|^2 + |R x|^2 + 2 slope x`` where ``E x = short``, and the multipliers of E."""
+        p = self._rows(slope)
+        if len(self.free):
+            rest = self._P.T @ rest
+            p[self.free] += rest[: len(self.free)]
+            rest[: len(self.free)] = 0.0
         fixed = self.Q @ ((self.turn @ short) / self.size)
         inside = p - self.Q @ (self.Q.T @ p)
         z = fixed - inside - self._back(rest + self.all @ fixed - self.W @ inside)
@@ -136,7 +332,7 @@ class FewFace:
             lacks = lacks - self.Q @ (self.Q.T @ lacks)
             z = z - lacks + self._back(self.W @ lacks)
         gradient = (rest + self.all @ z) @ self.all + z + p
-        return z / self.root, -self.turn.T @ ((self.Q.T @ gradient) / self.size)
+        return self._up(z), -self.turn.T @ ((self.Q.T @ gradient) / self.size)
 
     def _back(self, rest: Array) -> Array:
         """W^T (I + W W^T)^-1 rest."""
@@ -166,41 +362,48 @@ class FewFace:
 
     @property
     def passed(self) -> Array:
-        """Share of each mode that comes from the data."""
-        s = self.modes[1]
-        return np.asarray(s**2 / (1 + s**2))
+        """Share of each mode that comes from the data: first those that the prior leaves free."""
+        s = self.modes[1][: self._count]
+        return np.concatenate([np.ones(len(self.free)), s**2 / (1 + s**2)])
 
     @property
     def left(self) -> Array:
         """Share of each mode that comes from what is not data."""
-        return np.asarray(1 / (1 + self.modes[1] ** 2))
+        return np.concatenate([np.zeros(len(self.free)), 1 / (1 + self.modes[1][: self._count] ** 2)])
+
+    @property
+    def _count(self) -> int:
+        """Modes besides those that the prior leaves free."""
+        return min(len(self.modes[1]), len(self.W) - len(self.free), self.W.shape[1] - self.Q.shape[1] - len(self.free))
 
     def change(self, slope: Array) -> float:
-        """Norm of the minimiser of ``|C x|^2 + x own x - 2 slope x`` where E x = 0."""
-        V, p = self.modes[2], slope / self.root
+        """Norm of the minimiser of ``|C x|^2 + |R x|^2 - 2 slope x`` where E x = 0."""
+        V, p = self.modes[2], self._rows(slope)
         p = p - self.Q @ (self.Q.T @ p)
         part = V @ p
-        z = (self.left * part) @ V
+        z = (part / (1 + self.modes[1] ** 2)) @ V
         if len(V) < len(p):
             z += p - part @ V
-        return float(np.linalg.norm(z / self.root))
+        return float(np.linalg.norm(self._up(z)))
 
     @property
     def factor(self) -> Array:
-        """F (f, directions), the modes first: ``F F^T`` is the inverse of ``C^T C + diag(own)`` where E x = 0."""
-        f, k = self.Q.shape
-        modes = min(len(self.modes[2]), f - k)
-        whole = np.linalg.qr(np.hstack([self.Q, self.modes[2][:modes].T]), mode="complete")[0][:, k:]
-        whole[:, :modes] *= np.sqrt(self.left[:modes])
-        return np.asarray(whole / self.root[:, None])
+        """F (f, directions), the modes first: ``F F^T`` is the inverse of ``C^T C + R^T R`` where E x = 0."""
+        ground = np.zeros((self.W.shape[1], len(self.free)))
+        ground[self.free, np.arange(len(self.free))] = 1.0
+        first = np.hstack([self.Q, ground, self.modes[2][: self._count].T])
+        whole = np.linalg.qr(first, mode="complete")[0][:, self.Q.shape[1] :]
+        whole[:, len(self.free) : len(self.left)] *= np.sqrt(self.left[len(self.free) :])
+        return self._up(whole)
 
 
 class FewFactor:
-    """Solves with ``C^T C + lam2 + diag(weight)`` on the unknowns whose weight is finite."""
+    """Solves with ``A^T A + diag(weight)`` on the unknowns whose weight is finite."""
 
-    def __init__(self, C: Array, lam2: float, weight: Array) -> None:
+    def __init__(self, rows: FewRows, weight: Array) -> None:
         self.free = np.flatnonzero(np.isfinite(weight))
-        self.face = FewFace(C[:, self.free], lam2 + weight[self.free], np.zeros((0, len(self.free))))
+        root = rows.root(self.free, weight[self.free])
+        self.face = FewFace(rows.C[:, self.free], root, np.zeros((0, len(self.free))))
 
     def solve(self, r: Array) -> Array:
         """Solution (size,), 0 where held."""

@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,13 @@ from ...constraints import Constraint
 from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
+from ..threads import single
 from . import activeset
 from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
 from .few import FewFace
 from .quadratic import ActiveFace
-from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
+from .solver import ConstrainedSolution, ConstrainedSolver, banded, grams, resultants_of, soft, soft_values, whitening
 
 Array = NDArray[np.float64]
 
@@ -62,7 +64,7 @@ class Tangent:
         rows = np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]])
         few = q.few(face, rows)
         if few is not None:
-            sensitivity = 2 * few.change(face.turn(solver.lam**2 * p.h)[~face.held])
+            sensitivity = 2 * few.change(face.turn(q.rough(p.h))[~face.held])
             return cls(few.passed, few.left, sensitivity, partial(_on_all, few, face, s))
         S = q.shrink(face, rows)
         image = q.A @ S
@@ -109,6 +111,7 @@ SCALARS = (
     "residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "sensitivity", "objective",
 )  # fmt: skip
 COLD, STEP = 1e-3, 10.0  # relative lambda below which no start is cold; from one lambda to the next
+SMALL = 3e8  # products in a factorisation up to which one thread is faster
 KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
 
 
@@ -166,6 +169,11 @@ class ConstrainedPath(RegularizationPath):
         self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
     @property
+    def _small(self) -> bool:
+        """Whether a factorisation on a face is too little work for several threads."""
+        return len(self.base.c) * int(np.count_nonzero(self.base.c)) ** 2 < SMALL
+
+    @property
     def unconstrained(self) -> SVDPath:
         """The path without constraints, soft resultants among its data."""
         return self.base
@@ -193,11 +201,12 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         each = np.atleast_1d(lam)
         rows = np.zeros((9, len(each)))
-        for k in np.argsort(-each, kind="stable"):
-            value = float(each[k])
-            if value not in self._known:
-                self._known[value] = self._scalars(value)
-            rows[:, k] = self._known[value]
+        with single(self._small):
+            for k in np.argsort(-each, kind="stable"):
+                value = float(each[k])
+                if value not in self._known:
+                    self._known[value] = self._scalars(value)
+                rows[:, k] = self._known[value]
         return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
     def residual(self, lam: float) -> Array:
@@ -216,8 +225,9 @@ class ConstrainedPath(RegularizationPath):
         load = np.stack([self._load(p) for p in self._solved(lam)]).reshape(self.path.problem.load_shape)
         if sigma is None:
             return Solution(load, None)
-        faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
-        return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
+        with single(self._small):
+            faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
+            return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
 
     def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (and its own soft resultants)."""
@@ -258,7 +268,8 @@ class ConstrainedPath(RegularizationPath):
             b = prepared.compress(column)[0]
             inside = self._sets[min(k, len(self._sets) - 1)]
             drawn = [b + level * (rng.standard_normal(len(b)) @ self._turn) for level in np.broadcast_to(sigma, draws)]
-            out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
+            with single(self._small):
+                out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
         return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
 
     @cached_property
@@ -273,12 +284,22 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="a finite number >= 0")
         if lam not in self._solvers:
             self._solvers[lam] = ConstrainedSolver(
-                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._given_grams
+                self.base,
+                self.constraints,
+                self.feasible,
+                lam * float(self.scale),
+                self.sigma,
+                self._given_grams,
+                self._banded,
             )
             while len(self._solvers) > KEPT:
                 self._solvers.popitem(last=False)
         self._solvers.move_to_end(lam)
         return self._solvers[lam]
+
+    @cached_property
+    def _banded(self) -> Any:
+        return banded(self.base, self.feasible)
 
     def _given_grams(self) -> tuple[Array, Array]:
         return self._grams
@@ -302,7 +323,8 @@ class ConstrainedPath(RegularizationPath):
         return self._points[lam]
 
     def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
-        self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
+        with single(self._small):
+            self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
         return self._points[lam]
 
     def _load(self, p: ActivePoint) -> Array:

@@ -180,6 +180,10 @@ class Quadratic:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
         return CholeskyFactor(self.G, weight)
 
+    def rough(self, h: Array) -> Array:
+        """Gradient of what is prior in A^T A h, where it is told apart (see `few`)."""
+        raise NotImplementedError
+
     @property
     def parts(self) -> tuple[Array, Array | None]:
         """A^T A; or a diagonal, and few rows whose Gram matrix it lacks."""

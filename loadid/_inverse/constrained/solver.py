@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +16,7 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import CAP, ActivePoint
 from .feasible import Feasible
-from .few import FewRows
+from .few import NARROW, FewRows, width
 from .quadratic import ActiveFace, Quadratic, gram_of
 
 Array = NDArray[np.float64]
@@ -235,6 +236,17 @@ def grams(base: SVDPath, feasible: Feasible) -> tuple[Array, Array]:
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
 
+def banded(base: SVDPath, feasible: Feasible) -> Any:
+    """Penalty of the local unknowns as a sparse array where its rows reach over few of them, else None."""
+    from scipy.sparse import csr_array
+
+    L = base.problem.L
+    if L is None or feasible.cones:
+        return None
+    found = csr_array(np.asarray(L)[:, feasible.keep])
+    return found if width(found) <= NARROW else None
+
+
 class ConstrainedSolver:
     """``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, at one lambda, for many y.
 
@@ -253,11 +265,13 @@ class ConstrainedSolver:
         Noise level of the whitened data, which soft resultants are weighed against.
     grams : callable, optional
         Gives the Gram matrices of operator and penalty in local unknowns (`grams`), the same at every lambda.
+    penalty : sparse array, optional
+        The penalty in local unknowns where it has a narrow band (`banded`), the same too.
     """
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: Callable[[], tuple[Array, Array]] | None = None,
+        grams: Callable[[], tuple[Array, Array]] | None = None, penalty: Any = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -266,7 +280,7 @@ class ConstrainedSolver:
         d = np.sqrt(c**2 + (self.lam * s) ** 2)
         safe = np.where(d > 0, d, 1.0)
         self.weights, self.seen, self.prior = d, c / safe, self.lam * s / safe
-        self.quadratic = self._few() or Quadratic(
+        self.quadratic = self._few(penalty) or Quadratic(
             self._rows(), feasible, None if grams is None else grams()[0] + self.lam**2 * grams()[1]
         )
 
@@ -274,13 +288,13 @@ class ConstrainedSolver:
         """Rows of the compressed objective."""
         return self.feasible.columns(self.base.Y.T * self.weights[:, None])
 
-    def _few(self) -> FewRows | None:
-        """The objective where few modes meet data, and the prior is that of loads of equal variance."""
-        met = int(np.count_nonzero(self.base.c))
-        if not self.base.orthonormal or not self.lam > 0 or met > FEW * len(self.base.c):
+    def _few(self, penalty: Any) -> FewRows | None:
+        """The objective where few modes meet data, and the prior is that of loads of equal variance or has a band."""
+        met, base = int(np.count_nonzero(self.base.c)), self.base
+        if not (base.orthonormal or penalty is not None) or not self.lam > 0 or met > FEW * len(base.c):
             return None
-        C = self.feasible.columns(self.base.Y[:, :met].T * self.base.c[:met, None])
-        return FewRows(C, 1 / self.seen[:met], self.lam, self.feasible, self._rows)
+        C = self.feasible.columns(base.Y[:, :met].T * base.c[:met, None])
+        return FewRows(C, 1 / self.seen[:met], self.lam, float(base.scale), self.feasible, self._rows, penalty)
 
     # -- data ---------------------------------------------------------------------------------------------------------
     def compress(self, y: Array) -> tuple[Array, Array]:
