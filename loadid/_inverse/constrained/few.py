@@ -96,7 +96,7 @@ class FewRows(Quadratic):
     @property
     def parts(self) -> tuple[Array, Array]:
         """The prior, a diagonal or a matrix, and the rows."""
-        return np.full(self.n, self.lam2) if self.L is None else self.lam2 * (self.L.T @ self.L).toarray(), self.C
+        return np.full(self.n, self.lam2) if self.L is None else self.lam2 * gram_of(self.L.toarray()), self.C
 
     def root(self, f: Index, more: Array) -> Root:
         """Root of the prior with a diagonal that the unknowns `f` have besides."""

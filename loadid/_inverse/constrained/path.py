@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import log
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
 from .few import FewFace
 from .quadratic import ActiveFace
-from .solver import ConstrainedSolution, ConstrainedSolver, banded, grams, resultants_of, soft, soft_values, whitening
+from .solver import ConstrainedSolution, ConstrainedSolver, few_rows, grams, resultants_of, soft, soft_values, whitening
 
 Array = NDArray[np.float64]
 
@@ -290,7 +291,7 @@ class ConstrainedPath(RegularizationPath):
                 lam * float(self.scale),
                 self.sigma,
                 self._given_grams,
-                self._banded,
+                self._few,
             )
             while len(self._solvers) > KEPT:
                 self._solvers.popitem(last=False)
@@ -298,8 +299,8 @@ class ConstrainedPath(RegularizationPath):
         return self._solvers[lam]
 
     @cached_property
-    def _banded(self) -> Any:
-        return banded(self.base, self.feasible)
+    def _few(self) -> tuple[Array, Any] | None:
+        return few_rows(self.base, self.feasible)
 
     def _given_grams(self) -> tuple[Array, Array]:
         return self._grams
@@ -318,7 +319,7 @@ class ConstrainedPath(RegularizationPath):
             floor = 1e-300
             if 0.0 < lam < COLD and not any(lam / STEP <= x <= lam * STEP for x in self._points):
                 self._solved(min(lam * STEP, COLD))
-            near = min(self._points, key=lambda x: abs(np.log((x + floor) / (lam + floor))), default=None)
+            near = min(self._points, key=lambda x: abs(log((x + floor) / (lam + floor))), default=None)
             self._run(lam, None if near is None else self._points[near])
         return self._points[lam]
 

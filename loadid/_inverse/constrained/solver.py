@@ -236,15 +236,23 @@ def grams(base: SVDPath, feasible: Feasible) -> tuple[Array, Array]:
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
 
-def banded(base: SVDPath, feasible: Feasible) -> Any:
-    """Penalty of the local unknowns as a sparse array where its rows reach over few of them, else None."""
+def few_rows(base: SVDPath, feasible: Feasible) -> tuple[Array, Any] | None:
+    """Modes that meet data in local unknowns, where they are few, and the penalty, where it has a narrow band.
+
+    The penalty is None where all loads have equal variance; None in all where `FewRows` does not serve.
+    """
     from scipy.sparse import csr_array
 
-    L = base.problem.L
-    if L is None or feasible.cones:
+    met, L = int(np.count_nonzero(base.c)), None
+    if met > FEW * len(base.c):
         return None
-    found = csr_array(np.asarray(L)[:, feasible.keep])
-    return found if width(found) <= NARROW else None
+    if not base.orthonormal:
+        if base.problem.L is None or feasible.cones:
+            return None
+        L = csr_array(np.asarray(base.problem.L)[:, feasible.keep])
+        if width(L) > NARROW:
+            return None
+    return feasible.columns(base.Y[:, :met].T * base.c[:met, None]), L
 
 
 class ConstrainedSolver:
@@ -265,13 +273,13 @@ class ConstrainedSolver:
         Noise level of the whitened data, which soft resultants are weighed against.
     grams : callable, optional
         Gives the Gram matrices of operator and penalty in local unknowns (`grams`), the same at every lambda.
-    penalty : sparse array, optional
-        The penalty in local unknowns where it has a narrow band (`banded`), the same too.
+    few : (array, sparse array or None), optional
+        Few modes that meet data, and the penalty (`few_rows`), the same too.
     """
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: Callable[[], tuple[Array, Array]] | None = None, penalty: Any = None,
+        grams: Callable[[], tuple[Array, Array]] | None = None, few: tuple[Array, Any] | None = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -280,21 +288,20 @@ class ConstrainedSolver:
         d = np.sqrt(c**2 + (self.lam * s) ** 2)
         safe = np.where(d > 0, d, 1.0)
         self.weights, self.seen, self.prior = d, c / safe, self.lam * s / safe
-        self.quadratic = self._few(penalty) or Quadratic(
-            self._rows(), feasible, None if grams is None else grams()[0] + self.lam**2 * grams()[1]
+        self.quadratic = (
+            self._few(*few)
+            if few is not None and self.lam > 0
+            else Quadratic(self._rows(), feasible, None if grams is None else grams()[0] + self.lam**2 * grams()[1])
         )
 
     def _rows(self) -> Array:
         """Rows of the compressed objective."""
         return self.feasible.columns(self.base.Y.T * self.weights[:, None])
 
-    def _few(self, penalty: Any) -> FewRows | None:
-        """The objective where few modes meet data, and the prior is that of loads of equal variance or has a band."""
-        met, base = int(np.count_nonzero(self.base.c)), self.base
-        if not (base.orthonormal or penalty is not None) or not self.lam > 0 or met > FEW * len(base.c):
-            return None
-        C = self.feasible.columns(base.Y[:, :met].T * base.c[:met, None])
-        return FewRows(C, 1 / self.seen[:met], self.lam, float(base.scale), self.feasible, self._rows, penalty)
+    def _few(self, C: Array, L: Any) -> FewRows:
+        """The objective of few rows C and a penalty L."""
+        shares = 1 / self.seen[: len(C)]
+        return FewRows(C, shares, self.lam, float(self.base.scale), self.feasible, self._rows, L)
 
     # -- data ---------------------------------------------------------------------------------------------------------
     def compress(self, y: Array) -> tuple[Array, Array]:
