@@ -5,7 +5,7 @@ And what its sensors say of each other, in every family: what was measured as li
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
@@ -355,9 +355,10 @@ def _faults(given: Overlooked, lines: SensorLines, whole: LeftOut) -> tuple[Sens
 
 # -- lines of each family ----------------------------------------------------------------------------------------------
 def of_static(
-    H: Array, values: Array, noise: NoiseLevel, L: Array | None, channels: Sequence[Channel], *, free: bool
-) -> Overlooked | None:
-    """Static readings (frames, sensors); `free` without a prior of the loads."""
+    H: Array, values: Array, noise: NoiseLevel, channels: Sequence[Channel],
+    prior: Callable[[], tuple[Array, Array | None]] | None,
+) -> Overlooked | None:  # fmt: skip
+    """Static readings (frames, sensors); `prior` gives that of the loads (`prior_of`), None where they have none."""
     if np.ndim(noise.level) != 1 or len(H) > MANY:
         return None
     units = [c.unit for c in channels]
@@ -368,12 +369,13 @@ def of_static(
     if np.any(size <= 0):
         return None
     level = np.asarray(noise.level, float) ** 2 if noise.known else np.zeros(len(units))
-    spread, flat = (None, None) if free else _prior(L, H.shape[1])
+    spread, flat = (None, None) if prior is None else prior()
     lines = SensorLines(H[None], values.T[None], level[None], size[None], noise.known, 1.0, spread, flat)
     return Overlooked(lines, tuple(c.label for c in channels))
 
 
-def _prior(L: Array | None, loads: int) -> tuple[Array, Array | None]:
+def prior_of(L: Array | None, loads: int) -> tuple[Array, Array | None]:
+    """Covariance (loads, loads) of the loads that a penalty expects, and what it leaves free (loads, k) if anything."""
     if L is None:
         return np.eye(loads), None
     _, s, V = np.linalg.svd(np.atleast_2d(L))

@@ -24,7 +24,7 @@ from .._results.facts import STATIC, Facts
 from .._spellings import Progress, takes
 from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import smoothness
-from .answer import answer, of_path, of_static, undetermined
+from .answer import answer, of_path, of_static, prior_of, undetermined
 from .data import Readings, readings
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
 from .noise import noise_level
@@ -117,6 +117,7 @@ class StaticInversion:
         self.H = transfer(self.model, self.allow)
         self.L = smoothness.matrix(self.penalty, self.H.shape[1], self.basis)
         self.calibration: Calibration | None = None
+        self._prior: tuple[NDArray[np.float64], NDArray[np.float64] | None] | None = None
 
     # -- doing --------------------------------------------------------------------------------------------------------
     def estimate(self, found: Any, *, joint: bool = True) -> LoadEstimate:
@@ -248,12 +249,22 @@ class StaticInversion:
             searched=path, solved=path, full=posed.full, free=self.free, judged=not self.free,
             settings=self._settings(posed), prior=smoothness.words(self.penalty, self.basis),
             flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution, sigma)),
-            spare=of_static(posed.H, given.values, posed.noise, self.L, given.channels, free=self.free),
+            spare=of_static(
+                posed.H, given.values, posed.noise, given.channels, None if self.free else self._expected
+            ),
         )  # fmt: skip
 
     def at_rest(self) -> StaticProblem:
         """The problem without readings: what a frozen inverse is made of."""
         return at_rest(self)
+
+    def _expected(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """The prior of the loads; that of a penalty is the same for all readings, and is kept."""
+        if self.L is None:
+            return prior_of(None, self.H.shape[1])
+        if self._prior is None:
+            self._prior = prior_of(self.L, self.H.shape[1])
+        return self._prior
 
     # -- saying ---------------------------------------------------------------------------------------------------
     def _refuse_undetermined(self, posed: StaticProblem) -> None:

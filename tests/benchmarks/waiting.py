@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 from loadid import Deconvolution, LoadTracker, LocationSearch, Noise, SparseDeconvolution, StaticInversion, recommend
 from loadid._commands import demo
 from loadid.cli import main as command
-from loadid.constraints import NonNegative
+from loadid.constraints import FrictionCone, NonNegative, Resultant
 from structures import ForwardModel, ImpulseModel, MatrixModel, beams, damping, loads, sensors
+from tests.benchmarks.constrained import patch
 from tests.tracked import bm2
 
 Array = NDArray[Any]
@@ -175,6 +176,62 @@ def pressing(sensors_: int, patches: int, given: bool) -> tuple[Job, Other]:
         return nnls(whole, np.r_[surface(sensors_, patches, k)[1], np.zeros(patches)], maxiter=100 * patches)
 
     return (lambda k: inversion.estimate(surface(sensors_, patches, k)[1])), other
+
+
+def constrained(
+    H: Array, y: Callable[[int], Array], constraints: list[Any], penalty: str = "identity"
+) -> tuple[Job, Other]:
+    """Static inversion under constraints, beside the same program handed to clarabel as it stands."""
+    inversion = StaticInversion(MatrixModel(H), penalty=penalty, constraints=constraints)
+
+    def other(k: int, found: Any) -> object:
+        n = H.shape[1]
+        L = np.eye(n) if penalty == "identity" else np.diff(np.eye(n), axis=0)
+        return by_clarabel(H, y(k), found.choice.lam * found.choice.scale * L, constraints)
+
+    return (lambda k: inversion.estimate(y(k))), other
+
+
+def by_clarabel(H: Array, y: Array, L: Array, constraints: list[Any]) -> object:
+    """``min |H g - y|^2 + |L g|^2`` under signs, resultants or cones, residuals and differences as unknowns."""
+    import clarabel
+    import scipy.sparse as sp
+
+    rows, n = sp.csc_matrix(np.vstack([H, L])), H.shape[1]
+    m = rows.shape[0]
+    A, b, kinds = [sp.hstack([rows, -sp.identity(m)])], [np.r_[y, np.zeros(len(L))]], [clarabel.ZeroConeT(m)]
+    for c in constraints:
+        if isinstance(c, NonNegative):
+            part, value, kind = -sp.identity(n), np.zeros(n), [clarabel.NonnegativeConeT(n)]
+        elif isinstance(c, Resultant):
+            part, value, kind = sp.csc_matrix(c.C), np.asarray(c.value), [clarabel.ZeroConeT(len(c.C))]
+        else:
+            order = np.asarray(c.contacts)[:, [2, 0, 1]].ravel()
+            size = np.tile([float(np.ravel(c.mu)[0]), 1.0, 1.0], n // 3)
+            part, value = -(sp.diags(size) @ sp.identity(n, format="csr")[order]), np.zeros(n)
+            kind = [clarabel.SecondOrderConeT(3)] * (n // 3)
+        A.append(sp.hstack([part, sp.csc_matrix((part.shape[0], m))]))
+        b.append(value)
+        kinds += kind
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    P = sp.block_diag([sp.csc_matrix((n, n)), sp.identity(m)], format="csc")
+    stack = sp.vstack(A, format="csc")
+    return clarabel.DefaultSolver(P, np.zeros(n + m), stack, np.concatenate(b), kinds, settings).solve()
+
+
+def pressed(what: str) -> tuple[Job, Other]:
+    """60 readings of 1000 loads: a sign and a smooth prior, or one resultant that is known."""
+    H = surface(60, 1000, 0)[0]
+    if what == "smooth":
+        return constrained(H, lambda k: surface(60, 1000, k)[1], [NonNegative()], "gradient")
+    return constrained(H, lambda k: surface(60, 1000, k)[1], [Resultant(np.ones((1, 1000)), [159.0])])
+
+
+def cones() -> tuple[Job, Other]:
+    """1000 contacts with friction under 40 markers."""
+    H, y = patch(1000, 3)
+    return constrained(H[:120], lambda k: y[k, :120], [FrictionCone(0.5, np.arange(3000).reshape(-1, 3))])
 
 
 def pushes() -> tuple[Job, Other]:
@@ -341,6 +398,10 @@ JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "pressing": (lambda: pressing(60, 1000, False), "static, only presses, 60 x 1000", "SciPy nnls, that lambda"),
     "pressing, given": (lambda: pressing(60, 1000, True), "the same, lambda given", "SciPy nnls, that lambda"),
     "pressing, small": (lambda: pressing(6, 3, False), "the same, 6 x 3", "SciPy nnls, that lambda"),
+    "pressing, large": (lambda: pressing(120, 3000, False), "the same, 120 x 3000", "SciPy nnls, that lambda"),
+    "pressing, smooth": (lambda: pressed("smooth"), "the same, 60 x 1000, gradient", "clarabel, that lambda"),
+    "resultant": (lambda: pressed("resultant"), "static, one resultant, 60 x 1000", "clarabel, that lambda"),
+    "cones": (cones, "static, 1000 cones, 120 x 3000", "clarabel, that lambda"),
     "pushes": (pushes, "4000 samples, only pushes", "LSQR over FFTs, that lambda, no sign"),
     "spikes": (spikes, "4000 samples, sparse", ""),
     "location": (located, "4000 samples, place of one hit", "one estimate at one place"),

@@ -76,7 +76,7 @@ def solve(
     if feasible.simple and not feasible.cones and quadratic.well:
         here = _bounds_only(quadratic, b, feasible, here, cap)
     plane = _rows_only(feasible)
-    if plane and not quadratic.well:
+    if plane and not (quadratic.well or quadratic.exact):
         here = _on_plane(quadratic, b, feasible, here)
     found = newton(quadratic, b, feasible, here, cap=cap)
     routes = [] if plane else [_homotopy, _from_inside]  # a plane has one face: no route leads to a better one
@@ -94,7 +94,7 @@ def solve(
 
 def _bounds_only(q: Quadratic, b: Array, s: Feasible, start: ActivePoint, cap: int) -> ActivePoint:
     """Start from what block exchanges reach; Newton then checks it, and takes a last step where it must."""
-    aim = start.h - q.tau * ((q.A @ start.h - b) @ q.A) if start.aim is None else start.aim
+    aim = start.h - q.tau * q.gradient(start.h, b)[0] if start.aim is None else start.aim
     low, high = aim <= s.lower, aim >= s.upper if np.any(np.isfinite(s.upper)) else None
     try:
         found = exchange(DenseNormal(q, b), s.lower, s.upper, low, high, patience=PATIENCE, eager=EAGER, cap=cap)
@@ -166,8 +166,7 @@ class _State:
 
 
 def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array, prox: Prox | None) -> _State:
-    image = q.A @ h
-    gradient = (image - b) @ q.A
+    gradient, size = q.gradient(h, b)
     total = gradient + nu @ s.equal.matrix + kappa @ s.below.matrix
     tau = q.tau
     if prox is not None:
@@ -181,11 +180,11 @@ def _look(q: Quadratic, b: Array, s: Feasible, h: Array, nu: Array, kappa: Array
         off = s.equal.matrix @ h - s.equal.value
         error = max(error, float((np.abs(off) / np.sqrt(s.equal.matrix**2 @ tau)).max()))
     if len(s.below):
-        size = s.below.matrix**2 @ tau
-        wanted = kappa + (s.below.matrix @ h - s.below.value) / size
-        error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(size)).max()))
+        reach = s.below.matrix**2 @ tau
+        wanted = kappa + (s.below.matrix @ h - s.below.value) / reach
+        error = max(error, float((np.abs(kappa - np.maximum(wanted, 0.0)) * np.sqrt(reach)).max()))
         active = np.flatnonzero(wanted > 0)
-    scale = max(float(np.linalg.norm(b)), float(np.linalg.norm(image)), np.finfo(float).tiny)
+    scale = max(float(np.linalg.norm(b)), size, np.finfo(float).tiny)
     return _State(gradient, aim, face, active, error / scale)
 
 
@@ -266,9 +265,11 @@ def _homotopy(q: Quadratic, b: Array, s: Feasible, start: ActivePoint) -> Active
 def interior_point(quadratic: Quadratic, b: Array, feasible: Feasible) -> ActivePoint | None:
     """Solution by clarabel in scaled unknowns, moved into the intervals and cones; None if it fails."""
     w = np.sqrt(quadratic.tau)
-    right = (b @ quadratic.A) * w
+    right = -quadratic.gradient(np.zeros(quadratic.n), b)[0] * w
     size = float(np.abs(right).max(initial=0.0)) or 1.0
-    found = conic_minimum(quadratic.G * w[:, None] * w, -right / size, feasible, w, size)
+    own, image = quadratic.parts
+    own = own * w**2 if own.ndim == 1 else own * w[:, None] * w
+    found = conic_minimum(own, -right / size, feasible, w, size, image=None if image is None else image * w)
     if not found.solved:
         return None
     k, j = len(feasible.equal), len(feasible.below)
@@ -297,19 +298,30 @@ class ConicAnswer:
         return self.status in ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
-def conic_minimum(P: Array, c: Array, s: Feasible, w: Array, size: float, tol: float = 1e-11) -> ConicAnswer:
-    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x."""
+def conic_minimum(
+    P: Array, c: Array, s: Feasible, w: Array, size: float, tol: float = 1e-11, image: Array | None = None
+) -> ConicAnswer:
+    """Min 1/2 x^T P x + c^T x over the set, unknowns h = size * w * x; P a matrix or its diagonal.
+
+    Few rows `image` add half of |image x|^2: what they make of x are unknowns of their own, so that nothing of the
+    size of the loads squared is factored.
+    """
     import clarabel
     import scipy.sparse as sp
 
     matrix, value, kinds = _standard_form(s)
-    A = sp.csc_matrix(matrix @ sp.diags(w))
+    A, rows = sp.csc_matrix(matrix @ sp.diags(w)), 0 if image is None else len(image)
+    value, upper = value / size, sp.diags(P) if P.ndim == 1 else sp.csc_matrix(np.triu(P))
+    if image is not None:
+        A = sp.block_array([[sp.csc_matrix(image), -sp.identity(rows)], [A, None]], format="csc")
+        upper, value = sp.block_diag([upper, sp.identity(rows)]), np.concatenate([np.zeros(rows), value])
+        kinds, c = [clarabel.ZeroConeT(rows), *kinds], np.concatenate([c, np.zeros(rows)])
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tol
-    solver = clarabel.DefaultSolver(sp.csc_matrix(np.triu(P)), c, A, value / size, kinds, settings)
-    found = solver.solve()
-    return ConicAnswer(str(found.status).rsplit(".", 1)[-1], np.asarray(found.x), np.asarray(found.z))
+    found = clarabel.DefaultSolver(sp.csc_matrix(upper), c, A, value, kinds, settings).solve()
+    x, dual = np.asarray(found.x)[: len(w)], np.asarray(found.z)[rows:]
+    return ConicAnswer(str(found.status).rsplit(".", 1)[-1], x, dual)
 
 
 def _standard_form(s: Feasible) -> tuple[Any, Array, list[Any]]:
@@ -364,7 +376,7 @@ def refuse_empty(feasible: Feasible) -> None:
     finite = [np.abs(x[np.isfinite(x)]).max(initial=0.0) for x in (
         feasible.equal.value, feasible.below.value, feasible.lower, feasible.upper)]  # fmt: skip
     size = float(max(finite)) or 1.0
-    found = conic_minimum(np.eye(n), np.zeros(n), feasible, np.ones(n), size, tol=1e-8)
+    found = conic_minimum(np.ones(n), np.zeros(n), feasible, np.ones(n), size, tol=1e-8)
     if not found.empty:
         return
     matrix, value, _ = _standard_form(feasible)

@@ -93,49 +93,22 @@ class RecordNormal(NormalOperator, Protocol):
 class DenseNormal:
     """Normal matrix of a quadratic objective |A h - b|^2, which directs the steps; A itself judges them afterwards."""
 
-    precision = 1.0
-
     def __init__(self, quadratic: Quadratic, b: Array) -> None:
-        self.G, self.size, self.q = quadratic.G, quadratic.n, b @ quadratic.A
+        self.quadratic, self.size, self.precision = quadratic, quadratic.n, quadratic.precision
+        self.q = -quadratic.gradient(np.zeros(self.size), b)[0]
         self.slack = 0.1 * SLACK * float(np.linalg.norm(b)) / np.sqrt(quadratic.tau)
 
     def apply(self, v: Array) -> Array:
         """G v."""
-        return self.G @ v
+        return self.quadratic.apply(v)
 
     def gradient(self, v: Array) -> Array:
         """G v - q."""
-        return np.asarray(self.G @ v - self.q)
+        return np.asarray(self.quadratic.apply(v) - self.q)
 
-    def factor(self, weight: Array | None = None) -> CholeskyFactor:
+    def factor(self, weight: Array | None = None) -> NormalFactor:
         """Factors of ``G + diag(weight)``; where the weight is infinite, the unknown is held at 0."""
-        return CholeskyFactor(self.G, np.zeros(self.size) if weight is None else weight)
-
-
-class CholeskyFactor:
-    """Cholesky factor of the rows and columns whose weight is finite; LinAlgError where they are not definite."""
-
-    def __init__(self, G: Array, weight: Array) -> None:
-        from scipy.linalg import lapack
-
-        self.free = np.flatnonzero(np.isfinite(weight))
-        M = G.take(self.free, axis=0).take(self.free, axis=1).T  # symmetric: the transpose is in the order of LAPACK
-        if np.any(weight[self.free]):
-            M[np.arange(len(M)), np.arange(len(M))] += weight[self.free]
-        if len(M):
-            M, info = lapack.dpotrf(M, overwrite_a=1, clean=0)
-            if info:
-                raise np.linalg.LinAlgError("not positive definite")
-        self.lower = M
-
-    def solve(self, r: Array) -> Array:
-        """Solution (size,), 0 where held."""
-        from scipy.linalg import lapack
-
-        out = np.zeros(len(r))
-        if len(self.free):
-            out[self.free] = lapack.dpotrs(self.lower, r[self.free])[0]
-        return out
+        return self.quadratic.factor(np.zeros(self.size) if weight is None else weight)
 
 
 TOLERANCE = 1e-10  # gradient in the norm of the preconditioner, over that at zero

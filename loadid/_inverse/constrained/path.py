@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from math import log
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,11 +18,13 @@ from ...constraints import Constraint
 from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
+from ..threads import single
 from . import activeset
 from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
+from .few import FewFace
 from .quadratic import ActiveFace
-from .solver import ConstrainedSolution, ConstrainedSolver, grams, resultants_of, soft, soft_values, whitening
+from .solver import ConstrainedSolution, ConstrainedSolver, few_rows, grams, resultants_of, soft, soft_values, whitening
 
 Array = NDArray[np.float64]
 
@@ -33,68 +37,74 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Directions in which the estimate may move, as a factor of its inverse Hessian.
+    """How the estimate moves with the data where its face stays.
 
     Parameters
     ----------
-    loads : array, shape (n, d)
-        ``loads @ loads.T`` is the inverse of the Hessian of half the objective on the face, curvature included.
-    data : array, shape (rows, d)
-        The same directions in the whitened response: ``data.T @ data`` is the share that comes from the data.
-    other : array, shape (rows, d)
-        Their complement, from the penalty and the curvature of the cones: the two together are orthonormal.
+    passed, left : array, shape (modes,)
+        Eigenvalues of the derivative of the predicted response by the data, and their complements, formed without
+        subtraction. Data beyond the modes are left whole.
     sensitivity : float
         Norm of lambda dg/dlambda.
+    factor : callable
+        Makes the factor F (n, directions), the modes first: ``F F^T`` is the inverse of the Hessian of half the
+        objective on the face, curvature included.
     """
 
-    loads: Array
-    data: Array
-    other: Array
+    passed: Array
+    left: Array
     sensitivity: float
+    factor: Callable[[], Array]
 
     @classmethod
     def of(cls, solver: ConstrainedSolver, y: Array, p: ActivePoint, s: Feasible) -> Tangent:
         """At the solution of one vector of data."""
         q = solver.quadratic
-        push = (q.A @ p.h - solver.compress(y)[0]) @ q.A + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
+        push = q.gradient(p.h, solver.compress(y)[0])[0] + p.nu @ s.equal.matrix + p.kappa @ s.below.matrix
         face = ActiveFace.near(s, p.h - q.tau * push)
-        S = q.shrink(face, np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]]))
+        rows = np.vstack([s.equal.matrix, s.below.matrix[p.kappa > 0]])
+        few = q.few(face, rows)
+        if few is not None:
+            sensitivity = 2 * few.change(face.turn(q.rough(p.h))[~face.held])
+            return cls(few.passed, few.left, sensitivity, partial(_on_all, few, face, s))
+        S = q.shrink(face, rows)
         image = q.A @ S
         prior, bend = solver.prior[:, None] * image, face.curvature(q.tau)
         curved = np.sqrt(bend[bend > 0])[:, None] * face.turn(S)[bend > 0]
         moved = S @ (prior.T @ (solver.prior * (q.A @ p.h)))
-        return cls(
-            s.to_global(S), solver.seen[:, None] * image, np.vstack([prior, curved]), 2 * float(np.linalg.norm(moved))
-        )
+        met = solver.seen > 0
+        _, c, V = np.linalg.svd(solver.seen[met, None] * image[met], full_matrices=False)
+        left = sum(np.sum((part @ V.T) ** 2, axis=0) for part in (prior, curved))
+        return cls(np.minimum(c**2, 1.0), left, 2 * float(np.linalg.norm(moved)), partial(_turned, V, s.to_global(S)))
 
-    @property
-    def edf(self) -> float:
-        """Divergence of the predicted response by the data."""
-        return float(np.sum(self.data**2))
+    def scalars(self, m: int) -> tuple[float, ...]:
+        """Sums for m data, with the derivative A: tr A, tr A^2, m - tr A, tr (I - A)^2, tr (I - A)^4, sensitivity."""
+        a, b, beyond = self.passed, self.left, m - len(self.left)
+        rest = (beyond + float(np.sum(b**k)) for k in (1, 2, 4))
+        return float(a.sum()), float(a @ a), *rest, self.sensitivity
 
-    @property
-    def edf2(self) -> float:
-        """Trace of the square of that derivative."""
-        seen = self.data[np.any(self.data, axis=1)]  # modes that meet no data have no rows
-        seen = seen if len(seen) <= seen.shape[1] else seen.T
-        return float(np.sum((seen @ seen.T) ** 2))
 
-    def rest(self, m: int) -> tuple[float, float, float]:
-        """What is left, m - edf, tr (I - A)^2 and tr (I - A)^4 of the derivative A, from the complement."""
-        other = self.other
-        E = np.einsum("ki,kj->ij", other, other, optimize=True)
-        beyond = m - E.shape[0]
-        return beyond + float(np.trace(E)), beyond + float(np.sum(E**2)), beyond + float(np.sum((E @ E) ** 2))
+def _turned(V: Array, S: Array) -> Array:
+    """A factor whose first directions are those of the rows V, which are orthonormal."""
+    return np.asarray(S @ np.linalg.qr(V.T, mode="complete")[0])
+
+
+def _on_all(few: FewFace, face: ActiveFace, s: Feasible) -> Array:
+    """Factor over all loads from that on a face."""
+    own = few.factor
+    out = np.zeros((len(face.share), own.shape[1]))
+    out[~face.held] = own
+    return s.to_global(face.back(out))
 
 
 def posterior(faces: Sequence[Tangent], sigma: float, shape: tuple[int, ...], frames: int | None) -> Posterior:
     """Gaussian posterior on the active faces, in modes that split the share of the noise from that of the prior."""
     each = []
     for t in faces:
-        _, s, Vt = np.linalg.svd(t.data, full_matrices=False)
-        passed = np.zeros(t.loads.shape[1])
-        passed[: len(s)] = np.minimum(s**2, 1.0)
-        each.append(FacePosterior(sigma * t.loads @ Vt.T, shape, passed=passed))
+        factor = t.factor()
+        passed, modes = np.zeros(factor.shape[1]), min(factor.shape[1], len(t.passed))
+        passed[:modes] = t.passed[:modes]
+        each.append(FacePosterior(sigma * factor, shape, passed=passed))
     return each[0] if frames is None else FramesPosterior(each)
 
 
@@ -102,6 +112,7 @@ SCALARS = (
     "residual2", "penalty2", "edf", "edf2", "left", "rest2", "rest4", "sensitivity", "objective",
 )  # fmt: skip
 COLD, STEP = 1e-3, 10.0  # relative lambda below which no start is cold; from one lambda to the next
+SMALL = 3e8  # products in a factorisation up to which one thread is faster
 KEPT = 4  # lambdas whose matrices are kept; their solutions are kept for all
 
 
@@ -159,6 +170,11 @@ class ConstrainedPath(RegularizationPath):
         self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
     @property
+    def _small(self) -> bool:
+        """Whether a factorisation on a face is too little work for several threads."""
+        return len(self.base.c) * int(np.count_nonzero(self.base.c)) ** 2 < SMALL
+
+    @property
     def unconstrained(self) -> SVDPath:
         """The path without constraints, soft resultants among its data."""
         return self.base
@@ -186,11 +202,12 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         each = np.atleast_1d(lam)
         rows = np.zeros((9, len(each)))
-        for k in np.argsort(-each, kind="stable"):
-            value = float(each[k])
-            if value not in self._known:
-                self._known[value] = self._scalars(value)
-            rows[:, k] = self._known[value]
+        with single(self._small):
+            for k in np.argsort(-each, kind="stable"):
+                value = float(each[k])
+                if value not in self._known:
+                    self._known[value] = self._scalars(value)
+                rows[:, k] = self._known[value]
         return PathPoint(**dict(zip(SCALARS, rows if lam.ndim else rows[:, 0], strict=True)))
 
     def residual(self, lam: float) -> Array:
@@ -209,8 +226,9 @@ class ConstrainedPath(RegularizationPath):
         load = np.stack([self._load(p) for p in self._solved(lam)]).reshape(self.path.problem.load_shape)
         if sigma is None:
             return Solution(load, None)
-        faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
-        return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
+        with single(self._small):
+            faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
+            return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
 
     def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (and its own soft resultants)."""
@@ -251,7 +269,8 @@ class ConstrainedPath(RegularizationPath):
             b = prepared.compress(column)[0]
             inside = self._sets[min(k, len(self._sets) - 1)]
             drawn = [b + level * (rng.standard_normal(len(b)) @ self._turn) for level in np.broadcast_to(sigma, draws)]
-            out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
+            with single(self._small):
+                out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
         return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
 
     @cached_property
@@ -266,12 +285,25 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="a finite number >= 0")
         if lam not in self._solvers:
             self._solvers[lam] = ConstrainedSolver(
-                self.base, self.constraints, self.feasible, lam * float(self.scale), self.sigma, self._grams
+                self.base,
+                self.constraints,
+                self.feasible,
+                lam * float(self.scale),
+                self.sigma,
+                self._given_grams,
+                self._few,
             )
             while len(self._solvers) > KEPT:
                 self._solvers.popitem(last=False)
         self._solvers.move_to_end(lam)
         return self._solvers[lam]
+
+    @cached_property
+    def _few(self) -> tuple[Array, Any] | None:
+        return few_rows(self.base, self.feasible)
+
+    def _given_grams(self) -> tuple[Array, Array]:
+        return self._grams
 
     @cached_property
     def _grams(self) -> tuple[Array, Array]:
@@ -287,12 +319,13 @@ class ConstrainedPath(RegularizationPath):
             floor = 1e-300
             if 0.0 < lam < COLD and not any(lam / STEP <= x <= lam * STEP for x in self._points):
                 self._solved(min(lam * STEP, COLD))
-            near = min(self._points, key=lambda x: abs(np.log((x + floor) / (lam + floor))), default=None)
+            near = min(self._points, key=lambda x: abs(log((x + floor) / (lam + floor))), default=None)
             self._run(lam, None if near is None else self._points[near])
         return self._points[lam]
 
     def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
-        self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
+        with single(self._small):
+            self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
         return self._points[lam]
 
     def _load(self, p: ActivePoint) -> Array:
@@ -311,9 +344,9 @@ class ConstrainedPath(RegularizationPath):
             rest = column - problem.H @ g
             rough = g if problem.L is None else problem.L @ g
             residual2, penalty2 = float(rest @ rest), float(rough @ rough)
-            t = self._tangent(lam, k)
-            change2 += t.sensitivity**2
-            total += [residual2, penalty2, t.edf, t.edf2, *t.rest(len(column)), 0.0, residual2 + absolute2 * penalty2]
+            *sums, change = self._tangent(lam, k).scalars(len(column))
+            change2 += change**2
+            total += [residual2, penalty2, *sums, 0.0, residual2 + absolute2 * penalty2]
         total[7] = np.sqrt(change2)
         return total
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ... import constraints as cones
 from .feasible import Feasible
+
+if TYPE_CHECKING:
+    from .few import FewFace
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -78,7 +82,9 @@ class ActiveFace:
         return out
 
     def columns(self, A: Array) -> Array:
-        """Columns of a matrix for the turned unknowns."""
+        """Columns of a matrix for the turned unknowns; itself where none is turned."""
+        if not self.turns:
+            return A
         out = A.copy(order="F")
         for index, axes in self.turns:
             _turn(out, index, axes)
@@ -108,6 +114,14 @@ def _turn(A: Array, index: Index, axes: Array) -> None:
     A.T[flat] = np.matmul(axes.transpose(0, 2, 1), rows).reshape(index.size, len(A))
 
 
+class Factor(Protocol):
+    """Solves with a matrix, its rows and columns of held unknowns left out."""
+
+    def solve(self, r: Array) -> Array:
+        """Solution (size,), 0 where held."""
+        ...
+
+
 WELL = 1e-11  # reciprocal condition of the Gram matrix above which it may direct the steps
 FAIR = 1e-3  # and above which one step has the digits that A tells
 EPS = float(np.finfo(float).eps)
@@ -129,15 +143,14 @@ class Quadratic:
         A^T A, where it is known.
     """
 
+    exact = False  # whether a step has all its digits where A is ill-conditioned, rows that hold or none
+    precision = 1.0  # gradient on free unknowns, over the largest of A^T b, above which a solution is refined
+
     def __init__(self, A: Array, feasible: Feasible, gram: Array | None = None) -> None:
         self.A = np.asfortranarray(A, float)
         self.n = A.shape[1]
         self.G = gram_of(self.A) if gram is None else gram
-        d = np.diag(self.G).copy()
-        for c in feasible.cones:
-            d[c.index] = np.max(d[c.index], axis=1)[:, None]
-        top = float(d.max(initial=0.0)) or 1.0
-        self.tau = 1 / np.maximum(d, 1e-12 * top)  # step lengths: one per interval or contact
+        self.tau = lengths(np.diag(self.G).copy(), feasible)
         self._factor: Array | None = None
         condition = self._condition()
         self.well, self.fair = condition > WELL, condition > FAIR
@@ -153,6 +166,32 @@ class Quadratic:
         factor, info = lapack.dpotrf(scaled, clean=1, overwrite_a=1)
         self._factor = None if info else factor
         return float(lapack.dpocon(factor, norm)[0]) if info == 0 and self.n else 0.0
+
+    def gradient(self, h: Array, b: Array) -> tuple[Array, float]:
+        """A^T (A h - b), and the norm of A h."""
+        image = self.A @ h
+        return (image - b) @ self.A, float(np.linalg.norm(image))
+
+    def apply(self, h: Array) -> Array:
+        """A^T A h."""
+        return self.G @ h
+
+    def factor(self, weight: Array) -> Factor:
+        """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
+        return CholeskyFactor(self.G, weight)
+
+    def rough(self, h: Array) -> Array:
+        """Gradient of what is prior in A^T A h, where it is told apart (see `few`)."""
+        raise NotImplementedError
+
+    @property
+    def parts(self) -> tuple[Array, Array | None]:
+        """A^T A; or a diagonal, and few rows whose Gram matrix it lacks."""
+        return self.G, None
+
+    def few(self, face: ActiveFace, C: Array) -> FewFace | None:
+        """The face in the modes of few rows; None where there are many."""
+        return None
 
     def dual_energy(self, delta: Array, h: Array) -> float:
         """Half of |A^-T delta|^2: what a gradient left over can lower half the objective by, anywhere.
@@ -202,20 +241,28 @@ class Quadratic:
             short = short - face.columns(C) @ d0
         if len(f) == 0:
             return face.back(ht + d0), np.zeros(len(C))
+        solved = self._solve(face, f, h, d0, b, gradient, stiff, lean, Ct, short, bool(np.all(pull[f] > 0)))
+        if solved is None:
+            return None
+        q, nu = solved
+        ht = ht + d0
+        ht[f] += q
+        return face.back(ht), nu
+
+    def _solve(
+        self, face: ActiveFace, f: Index, h: Array, d0: Array, b: Array, gradient: Array, stiff: Array, lean: Array,
+        Ct: Array, short: Array, pulled: bool,
+    ) -> tuple[Array, Array] | None:  # fmt: skip
+        """What the free unknowns are moved by, and the multipliers of the rows."""
         solved = (
             self._semi_normal(face, f, d0, gradient, stiff, lean)
-            if self.well or np.all(pull[f] > 0)
+            if self.well or pulled
             else self._orthogonal(face, f, d0, b - self.A @ h, stiff, lean)
         )
         if solved is None:
             return None
         q, R = solved
-        nu = np.zeros(len(C))
-        if len(C):
-            q, nu = _onto_rows(q, R, Ct, short)
-        ht = ht + d0
-        ht[f] += q
-        return face.back(ht), nu
+        return _onto_rows(q, R, Ct, short) if len(Ct) else (q, np.zeros(0))
 
     def _semi_normal(
         self, face: ActiveFace, f: Index, d0: Array, gradient: Array, stiff: Array, lean: Array
@@ -266,6 +313,32 @@ class Quadratic:
         return face.back(S)
 
 
+class CholeskyFactor:
+    """Cholesky factor of the rows and columns whose weight is finite; LinAlgError where they are not definite."""
+
+    def __init__(self, G: Array, weight: Array) -> None:
+        from scipy.linalg import lapack
+
+        self.free = np.flatnonzero(np.isfinite(weight))
+        M = G.take(self.free, axis=0).take(self.free, axis=1).T  # symmetric: the transpose is in the order of LAPACK
+        if np.any(weight[self.free]):
+            M[np.arange(len(M)), np.arange(len(M))] += weight[self.free]
+        if len(M):
+            M, info = lapack.dpotrf(M, overwrite_a=1, clean=0)
+            if info:
+                raise np.linalg.LinAlgError("not positive definite")
+        self.lower = M
+
+    def solve(self, r: Array) -> Array:
+        """Solution (size,), 0 where held."""
+        from scipy.linalg import lapack
+
+        out = np.zeros(len(r))
+        if len(self.free):
+            out[self.free] = lapack.dpotrs(self.lower, r[self.free])[0]
+        return out
+
+
 def _right_inverse(R: Array) -> Array:
     """S with S S^T the (pseudo-)inverse of R^T R, of full column rank."""
     from scipy.linalg import solve_triangular
@@ -294,6 +367,14 @@ def _kernel(C: Array) -> Array:
     s, Vt = np.linalg.svd(C, full_matrices=True)[1:]
     rank = int(np.sum(s > max(C.shape) * EPS * s.max(initial=0.0)))
     return Vt[rank:].T
+
+
+def lengths(diagonal: Array, feasible: Feasible) -> Array:
+    """Step lengths from the diagonal of A^T A: one per interval or contact."""
+    for c in feasible.cones:
+        diagonal[c.index] = np.max(diagonal[c.index], axis=1)[:, None]
+    top = float(diagonal.max(initial=0.0)) or 1.0
+    return 1 / np.maximum(diagonal, 1e-12 * top)
 
 
 def gram_of(A: Array) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +16,11 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import CAP, ActivePoint
 from .feasible import Feasible
+from .few import NARROW, FewRows, width
 from .quadratic import ActiveFace, Quadratic, gram_of
 
 Array = NDArray[np.float64]
+FEW = 0.5  # share of the modes that meets data up to which faces are solved by their rows
 Index = NDArray[np.int_]
 
 
@@ -233,6 +236,25 @@ def grams(base: SVDPath, feasible: Feasible) -> tuple[Array, Array]:
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
 
+def few_rows(base: SVDPath, feasible: Feasible) -> tuple[Array, Any] | None:
+    """Modes that meet data in local unknowns, where they are few, and the penalty, where it has a narrow band.
+
+    The penalty is None where all loads have equal variance; None in all where `FewRows` does not serve.
+    """
+    from scipy.sparse import csr_array
+
+    met, L = int(np.count_nonzero(base.c)), None
+    if met > FEW * len(base.c):
+        return None
+    if not base.orthonormal:
+        if base.problem.L is None or feasible.cones:
+            return None
+        L = csr_array(np.asarray(base.problem.L)[:, feasible.keep])
+        if width(L) > NARROW:
+            return None
+    return feasible.columns(base.Y[:, :met].T * base.c[:met, None]), L
+
+
 class ConstrainedSolver:
     """``min |H g - y|^2 + lambda^2 |L g|^2`` under constraints, at one lambda, for many y.
 
@@ -249,13 +271,15 @@ class ConstrainedSolver:
         Absolute lambda.
     sigma : float
         Noise level of the whitened data, which soft resultants are weighed against.
-    grams : (array, array), optional
-        Gram matrices of operator and penalty in local unknowns (`grams`), which are the same at every lambda.
+    grams : callable, optional
+        Gives the Gram matrices of operator and penalty in local unknowns (`grams`), the same at every lambda.
+    few : (array, sparse array or None), optional
+        Few modes that meet data, and the penalty (`few_rows`), the same too.
     """
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: tuple[Array, Array] | None = None,
+        grams: Callable[[], tuple[Array, Array]] | None = None, few: tuple[Array, Any] | None = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -264,8 +288,20 @@ class ConstrainedSolver:
         d = np.sqrt(c**2 + (self.lam * s) ** 2)
         safe = np.where(d > 0, d, 1.0)
         self.weights, self.seen, self.prior = d, c / safe, self.lam * s / safe
-        whole = None if grams is None else grams[0] + self.lam**2 * grams[1]
-        self.quadratic = Quadratic(feasible.columns(base.Y.T * d[:, None]), feasible, whole)
+        self.quadratic = (
+            self._few(*few)
+            if few is not None and self.lam > 0
+            else Quadratic(self._rows(), feasible, None if grams is None else grams()[0] + self.lam**2 * grams()[1])
+        )
+
+    def _rows(self) -> Array:
+        """Rows of the compressed objective."""
+        return self.feasible.columns(self.base.Y.T * self.weights[:, None])
+
+    def _few(self, C: Array, L: Any) -> FewRows:
+        """The objective of few rows C and a penalty L."""
+        shares = 1 / self.seen[: len(C)]
+        return FewRows(C, shares, self.lam, float(self.base.scale), self.feasible, self._rows, L)
 
     # -- data ---------------------------------------------------------------------------------------------------------
     def compress(self, y: Array) -> tuple[Array, Array]:
@@ -360,7 +396,7 @@ class ConstrainedSolver:
         slope = np.zeros(feasible.n)
         if len(feasible.keep) < feasible.n:  # the gradient by all loads, removed ones too
             slope = self.base.Y @ (self.weights * (self.weights * (self.base.Y.T @ g) - b))
-        force = (self.quadratic.A @ p.h - b) @ self.quadratic.A
+        force = self.quadratic.gradient(p.h, b)[0]
         push = force + p.nu @ feasible.equal.matrix + p.kappa @ feasible.below.matrix
         face = ActiveFace.near(feasible, p.h - self.quadratic.tau * push)
         rows = by_constraint(self.constraints, feasible, p, face, slope, push)
