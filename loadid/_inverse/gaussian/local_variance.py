@@ -433,11 +433,20 @@ class Smoother:
         return SmootherPass(evidence, load, rho, e, first, partial(self._information, self._v[:0]))
 
     @cached_property
+    def _known(self) -> tuple[Array, Array]:
+        out = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else np.zeros(self._v.shape)
+        rho = self._information(out)[0]
+        return np.maximum(out, 0.0), rho
+
+    @property
     def variance(self) -> Array:
         """Of the loads (samples, p)."""
-        out = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else np.zeros(self._v.shape)
-        self._information(out)
-        return np.maximum(out, 0.0)
+        return self._known[0]
+
+    @property
+    def rho_variance(self) -> Array:
+        """Of rho (samples, p)."""
+        return self._known[1]
 
     def covariance_times(self, w: Array) -> Array:
         """Posterior covariance of the loads times weights (samples, p)."""
