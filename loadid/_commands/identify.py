@@ -337,15 +337,17 @@ def write_all(
 
     Report and picture are made before the first file is written, so that a fault in them leaves nothing behind.
     """
-    ready = []
+    ready, png = [], None
+    if plot is not None:
+        from .._plots import load_figure, picture_format, rendered
+
+        drawn = rendered(load_figure(estimate, truth=truth), plot)
+        png = drawn if picture_format(plot) == "png" else None
+        ready.append((Path(plot), drawn))
     if report is not None:
         from .._results.report import page
 
-        ready.append((Path(report), page(estimate, truth=truth).encode()))
-    if plot is not None:
-        from .._plots import load_figure, rendered
-
-        ready.append((Path(plot), rendered(load_figure(estimate, truth=truth), plot)))
+        ready.append((Path(report), page(estimate, truth=truth, png=png).encode()))
     estimate.save(result)
     for path, data in ready:
         storage.replace(path, data)

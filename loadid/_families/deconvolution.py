@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from structures._advice import Advice, Option
 from structures._flags import Flag, codes
 from structures._model import Model, as_model
+from structures._threads import one_thread
 from structures.errors import InputError
 
 from .. import _guards as guards
@@ -117,6 +118,7 @@ class Deconvolution:
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
         self._progress = Progress(progress)
 
+    @one_thread()
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads that caused a record.
 

@@ -156,27 +156,32 @@ class StationaryPrior:
         """Number of data."""
         return self.record.data
 
+    @cached_property
+    def smoother(self) -> Smoother:
+        """Of its record and variances."""
+        return Smoother(self.record, self.given)
+
     def posterior(self, errors: Marginal | None = None) -> tuple[Array, Posterior, Array]:
         """Mean of the load (samples, p), its posterior with these errors of the model, and the mean first state."""
-        _, load, _, _, first = Smoother(self.record, self.given).means(self.record.y)
-        own = LocalVariancePosterior(self.record, self.given)
+        _, load, _, _, first = self.smoother.means(self.record.y)
+        own = LocalVariancePosterior(self.smoother)
         return load, own if errors is None else WidenedPosterior(own, errors.spread), self.given.start @ first
 
     def resolved(self, load: Array) -> Array:
         """What would be estimated from the noise-free response of a load (samples, p)."""
         r = self.record
         response = forward(r, feedback(r, r.E), np.ascontiguousarray(load, float), np.zeros(r.n))[2]
-        return Smoother(r, self.given).means(response)[1]
+        return self.smoother.means(response)[1]
 
     def unexplained(self) -> float:
         """Sum of the squares of the whitened data that neither the load nor the errors of the model explain."""
-        e = Smoother(self.record, self.given).means(self.record.y)[3]
+        e = self.smoother.means(self.record.y)[3]
         shown = np.any(self.record.C != 0, axis=2) | np.any(self.record.D != 0, axis=2)
         return float(np.sum(np.where(shown[self.record.kind], self.given.noise * e, 0.0) ** 2))
 
     def freedom(self) -> float:
         """Effective degrees of freedom of the load."""
-        return float(np.sum(self.given.load * smoothed(self.record, self.given).rho_variance))
+        return float(np.sum(self.given.load * self.smoother.rho_variance))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -208,7 +213,7 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
     nuisances : Nuisances
         Of the problem whose record it was learned from, without memory.
     """
-    smoother = Smoother(prior.record, prior.given)
+    smoother = prior.smoother
     _, load, _, _, first = smoother.means(prior.record.y)
 
     def solve(data: Array) -> tuple[Array, Array]:
@@ -216,7 +221,9 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
         return weighed, pulled
 
     start, noise = prior.given.start @ first, prior.given.noise
-    return replace(prior, errors=linearised(nuisances, load, start, solve, prior.record.y, noise))
+    found = replace(prior, errors=linearised(nuisances, load, start, solve, prior.record.y, noise))
+    vars(found)["smoother"] = smoother  # the record and the variances are the same
+    return found
 
 
 def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
@@ -260,8 +267,7 @@ def stationary_prior(record: WhitenedRecord, *, stated: bool = False) -> Station
 
 def with_misfit(prior: LocalPrior) -> LocalPrior:
     """The prior with an error of the model in proportion to the response, learned beside its variances."""
-    fit = prior.fit.on(prior.record)
-    fit.weigh(fit.climb(0))
+    fit = prior.fit.on(prior.record)  # with the energy of the response at these variances
     fit.misfit2 = LEAST_MISFIT**2
     fit.climb(MOST, missing=True)
     return replace(prior, given=fit.variances(), noise=fit.r, misfit=float(np.sqrt(fit.misfit2)), fit=fit,
@@ -273,16 +279,15 @@ class LocalVariancePosterior:
 
     Parameters
     ----------
-    record : WhitenedRecord
+    smoother : Smoother
         Its data are not used.
-    given : Variances
     """
 
     kind = "local variance"
 
-    def __init__(self, record: WhitenedRecord, given: Variances) -> None:
-        self._smoother = Smoother(replace(record, y=np.zeros_like(record.y)), given)
-        self.shape = record.samples, record.p
+    def __init__(self, smoother: Smoother) -> None:
+        self._smoother = smoother
+        self.shape = smoother.record.samples, smoother.record.p
 
     @cached_property
     def std(self) -> Array:
@@ -314,7 +319,7 @@ class LocalVariancePosterior:
         kind = np.asarray(tree["samples"]).astype(np.int32)
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
         record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
-        return cls(record, Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start"))))
+        return cls(Smoother(record, Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures._advice import Advice, Option
+from structures._threads import all_threads
 from structures.errors import InputError, NotIdentifiable
 
 from . import Array
@@ -54,6 +55,7 @@ def plain(H: Array) -> Factors:
     return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0, float(c[0]))
 
 
+@all_threads()
 def paired(H: Array, L: Array, labels: Sequence[str] | None = None) -> Factors:
     """Modes of (H, L) from the QR of ``[H; alpha L]`` and the SVD of its upper block.
 
@@ -115,6 +117,7 @@ def augmented(H: Array, L: Array, y: Array, x: float) -> Array:
     return np.asarray(scipy.linalg.solve_triangular(R[:n, :n], R[:n, n:]).reshape(n, *y.shape[1:]))
 
 
+@all_threads()
 def svd(A: Array, overwrite: bool = False) -> tuple[Array, Array, Array]:
     """SVD by divide and conquer, with all right vectors: U (m, r), c (r,), Wt (n, n)."""
     import scipy.linalg

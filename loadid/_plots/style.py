@@ -32,6 +32,8 @@ PALE = "#9fc3dd"  # of a broad line below a thin one
 PANELS = 6
 NARROW = 4.0  # inches: the width of a phone
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+DPI = 150  # of bitmaps
+VECTORS = ("svg", "svgz", "pdf", "ps", "eps")  # formats that count in points
 DENSE = 5000  # points of a line beyond which a vector picture would be larger than a bitmap
 
 
@@ -190,10 +192,25 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 def rendered(figure: Figure, path: str | os.PathLike[str]) -> bytes:
     """Content of the picture file of a figure."""
+    return drawn(figure, picture_format(path))
+
+
+def drawn(figure: Figure, kind: str, **settings: Any) -> bytes:
+    """A figure in some format, with settings of `Figure.savefig`.
+
+    Its layout is found before it is drawn, at the resolution that it is drawn at: else matplotlib draws it once for the
+    layout alone.
+    """
     from io import BytesIO
 
+    dpi = 72 if kind in VECTORS else DPI
+    figure.set_dpi(dpi)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)
+        figure.set_layout_engine(None)
     buffer = BytesIO()
-    figure.savefig(buffer, format=picture_format(path), dpi=150)
+    figure.savefig(buffer, format=kind, dpi=dpi, **settings)
+    figure.set_layout_engine(layout)
     return buffer.getvalue()
 
 

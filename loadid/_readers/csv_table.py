@@ -61,8 +61,8 @@ def load(source: Source, options: Options) -> list[Table]:
     body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
     body, flags = (body, ()) if ended else _unended(body, layout)
     for number, line in body:
-        if len(_cells(line, layout)) != layout.width:
-            source.refuse("lines of different length", f"line {number}: {len(_cells(line, layout))} cells",
+        if (count := _count(line, layout)) != layout.width:
+            source.refuse("lines of different length", f"line {number}: {count} cells",
                           f"{layout.width} cells", "correct or delete that line")  # fmt: skip
     columns = np.arange(layout.width)
     clean = (
@@ -92,6 +92,14 @@ def _cells(line: str, layout: _Layout) -> list[str]:
     if len(cells) == layout.width + 1 and not cells[-1]:
         cells.pop()
     return cells
+
+
+def _count(line: str, layout: _Layout) -> int:
+    """Number of `_cells`, without making them where nothing is quoted."""
+    if layout.separator is None or '"' in line:
+        return len(_cells(line, layout))
+    count = line.count(layout.separator) + 1
+    return count - 1 if count == layout.width + 1 and not line.rpartition(layout.separator)[2].strip() else count
 
 
 def _trailing(body: list[tuple[int, str]], layout: _Layout) -> bool:

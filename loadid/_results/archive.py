@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
+from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -59,8 +60,13 @@ def plain(value: Any) -> Any:
     """Nested lists, text, finite numbers and None."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":  # entry by entry takes seconds of a long record
+        known = np.isfinite(value)
+        return value.tolist() if known.all() else np.where(known, value.astype(object), None).tolist()
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, list | tuple) and set(map(type, value)) == {float}:
+        return [v if isfinite(v) else None for v in value]
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(v) for v in (sorted(value) if isinstance(value, set | frozenset) else value)]
     if isinstance(value, complex):

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from html import escape
 from importlib.resources import files
-from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -77,11 +76,11 @@ def write_page(path: str | os.PathLike[str], made: Callable[[], str]) -> None:
     replace(target, made().encode())
 
 
-def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None) -> str:
-    """The page as text."""
+def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes | None = None) -> str:
+    """The page as text; `png` is the picture of the load, where it has been drawn."""
     title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
     sections = [
-        ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth) + _notes(estimate)),
+        ("Result", _result(estimate) + _known(estimate, truth) + _picture(estimate, truth, png) + _notes(estimate)),
         ("Flags", flag_list(estimate)),
         ("What every line can tell", _lines(estimate)),
         ("How lambda was chosen", _choice(estimate)),
@@ -309,37 +308,41 @@ def html_table(rows: Iterable[tuple[str, ...]], head: tuple[str, ...] = ()) -> s
     return f'<div class="scroll" tabindex="0"><table{kind}>{top}<tbody>{"".join(lines)}</tbody></table></div>'
 
 
-def _picture(e: LoadEstimate, truth: ArrayLike | None, *, phone: bool = True) -> str:
+def _picture(e: LoadEstimate, truth: ArrayLike | None, png: bytes | None = None, *, phone: bool = True) -> str:
     from .._plots import load_figure
 
     peaks = "; ".join(f"{p.label} peaks at {p.value:.4g} {p.unit}" for p in e.peaks[:3])
     draw = partial(load_figure, e, truth=truth)
-    return html_image(draw, f"load with its 95 % band: {peaks}", 6 * e.load.size, phone=phone)
+    return html_image(draw, f"load with its 95 % band: {peaks}", 6 * e.load.size, png, phone=phone)
 
 
-def html_image(draw: Callable[..., Figure], words: str, points: int, *, phone: bool = True) -> str:
+def html_image(
+    draw: Callable[..., Figure], words: str, points: int, png: bytes | None = None, *, phone: bool = True
+) -> str:
     """A figure as an image inside the page: its names and styles cannot meet those of the page or of another figure.
 
-    A second one, with its panels below each other, is shown where the screen is narrow.
+    A second one, with its panels below each other, is shown where the screen is narrow. Where a bitmap is wanted, `png`
+    is taken if it is there.
     """
     suffix = "png" if points > _DENSE else "svg"
-    image = f'<img src="{_data(draw(), suffix)}" alt="{escape(words)}">'
+    content = png if png and suffix == "png" else _drawn(draw(), suffix)
+    image = f'<img src="{_data(content, suffix)}" alt="{escape(words)}">'
     if not phone:
         return f'<figure tabindex="0">{image}</figure>'
-    narrow = f'<source media="(max-width: 40rem)" srcset="{_data(draw(narrow=True), suffix)}">'
+    narrow = f'<source media="(max-width: 40rem)" srcset="{_data(_drawn(draw(narrow=True), suffix), suffix)}">'
     return f'<figure tabindex="0"><picture>{narrow}{image}</picture></figure>'
 
 
-def _data(figure: Figure, suffix: str) -> str:
+def _data(content: bytes, suffix: str) -> str:
     kind = {"png": "image/png", "svg": "image/svg+xml"}[suffix]
-    return f"data:{kind};base64,{base64.b64encode(_drawn(figure, suffix)).decode()}"
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def _drawn(figure: Figure, suffix: str) -> bytes:
     from matplotlib import rc_context
 
-    buffer = BytesIO()
-    keep: dict[str, Any] = {"metadata": {"Date": None}} if suffix == "svg" else {"dpi": 160}
+    from .._plots.style import drawn
+
+    keep: dict[str, Any] = {"metadata": {"Date": None}} if suffix == "svg" else {}
     with rc_context({"svg.hashsalt": "loadid", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format=suffix, **keep)
-    return buffer.getvalue()
+        return drawn(figure, suffix, **keep)

@@ -136,8 +136,8 @@ def missing() -> tuple[Job, Other]:
 
 
 def identified() -> tuple[Job, None]:
-    """`loadid identify` with a report: CSV of 10 s at 2 kHz, three channels."""
-    model, dt, n = long_beam(), 5e-4, 20_000
+    """`loadid identify` with a report: CSV of 10 s at 10 kHz, three channels."""
+    model, dt, n = long_beam(), 1e-4, 100_000
 
     def job(k: int) -> None:
         with tempfile.TemporaryDirectory() as place, redirect_stdout(StringIO()):
@@ -393,7 +393,7 @@ JOBS: dict[str, tuple[Callable[[], tuple[Job, Other | None]], str, str]] = {
     "demo": (demonstration, "loadid demo", ""),
     "demo estimate": (simulated_demo, "its estimate, 3 x 6000", "LSQR over FFTs, one lambda"),
     "30 000": (many_samples, "beam of 14 modes, 3 x 30 000", "LSQR over FFTs, one lambda"),
-    "identify": (identified, "identify with report, 3 x 20 000", ""),
+    "identify": (identified, "identify with report, 3 x 100 000", ""),
     "missing": (missing, "20 of 1024 samples missing", "the same without gaps"),
     "pressing": (lambda: pressing(60, 1000, False), "static, only presses, 60 x 1000", "SciPy nnls, that lambda"),
     "pressing, given": (lambda: pressing(60, 1000, True), "the same, lambda given", "SciPy nnls, that lambda"),

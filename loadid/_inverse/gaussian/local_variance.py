@@ -30,13 +30,27 @@ from .roots import Array
 
 @Compiled
 def _times(rows: Array, columns: Array, values: Array, X: Array, out: Array) -> None:
-    """Put F X into `out`, F by its entries."""
+    """Put F X into `out`, F by its entries: those of a row that follow each other are taken together, up to four."""
     out[:] = 0.0
-    for i in range(len(rows)):
-        a = values[i]
-        to, of = rows[i], columns[i]
-        for j in range(X.shape[1]):
-            out[to, j] += a * X[of, j]
+    i, count, n = 0, len(rows), X.shape[1]
+    while i < count:
+        to, alike = rows[i], 1
+        while alike < 4 and i + alike < count and rows[i + alike] == to:
+            alike += 1
+        if alike == 4:
+            a, b, c, d = values[i], values[i + 1], values[i + 2], values[i + 3]
+            p, q, r, s = columns[i], columns[i + 1], columns[i + 2], columns[i + 3]
+            for j in range(n):
+                out[to, j] += (a * X[p, j] + b * X[q, j]) + (c * X[r, j] + d * X[s, j])
+        elif alike >= 2:
+            a, b, p, q, alike = values[i], values[i + 1], columns[i], columns[i + 1], 2
+            for j in range(n):
+                out[to, j] += a * X[p, j] + b * X[q, j]
+        else:
+            a, p = values[i], columns[i]
+            for j in range(n):
+                out[to, j] += a * X[p, j]
+        i += alike
 
 
 @Compiled
@@ -119,8 +133,8 @@ def _ahead(
             S[a, a] += R[k, a]
         logdet += _inverse(S, L, inverses[k])
         cross[:] = 0.0
-        for i in range(len(rows)):
-            for a in range(m):
+        for a in range(m):
+            for i in range(len(rows)):
                 cross[a, rows[i]] += values[j, i] * T[a, columns[i]]
         for c in range(p):
             for i in range(n):
@@ -218,8 +232,8 @@ def _information(
             for a in range(m):
                 Q[k, c] += D[j, a, c] * alone[a, c]
         U[:] = 0.0
-        for i in range(len(rows)):
-            for a in range(m):
+        for a in range(m):
+            for i in range(len(rows)):
                 U[a, columns[i]] -= values[j, i] * NK[a, rows[i]]
         for a in range(m):
             for b in range(m):
@@ -433,11 +447,20 @@ class Smoother:
         return SmootherPass(evidence, load, rho, e, first, partial(self._information, self._v[:0]))
 
     @cached_property
+    def _known(self) -> tuple[Array, Array]:
+        out = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else np.zeros(self._v.shape)
+        rho = self._information(out)[0]
+        return np.maximum(out, 0.0), rho
+
+    @property
     def variance(self) -> Array:
         """Of the loads (samples, p)."""
-        out = np.einsum("kci,ci->kc", self._reads, self._E) if len(self._E) else np.zeros(self._v.shape)
-        self._information(out)
-        return np.maximum(out, 0.0)
+        return self._known[0]
+
+    @property
+    def rho_variance(self) -> Array:
+        """Of rho (samples, p)."""
+        return self._known[1]
 
     def covariance_times(self, w: Array) -> Array:
         """Posterior covariance of the loads times weights (samples, p)."""
@@ -451,9 +474,11 @@ class Smoother:
 
     def _information(self, variance: Array) -> tuple[Array, Array, Array]:
         """Variances of rho and e, and the information on the first state; adds to those of the loads where asked."""
-        r = self.record
+        r, (rows, columns, values, *rest) = self.record, self._system
+        by_column = np.argsort(columns, kind="stable")
+        system = rows[by_column], columns[by_column], np.ascontiguousarray(values[:, by_column]), *rest
         rho, e, N = np.empty(self._v.shape), np.empty((r.samples, r.m)), np.zeros((r.n, r.n))
         _information(
-            *self._system, r.kind, self._v, self._gains, self._inverses, self._reads, rho, e, variance, N
+            *system, r.kind, self._v, self._gains, self._inverses, self._reads, rho, e, variance, N
         )  # fmt: skip
         return rho, e, N

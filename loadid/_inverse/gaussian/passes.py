@@ -138,14 +138,16 @@ def _advance(jumps: list[Array], x: Array, pushed: Array) -> tuple[Array, Array]
 
 
 def _rest(system: Filter, x: Array, inputs: Sequence[Array], outputs: Sequence[Array], backwards: bool) -> Array:
-    """Sample by sample."""
-    edges = np.cumsum([o.shape[1] for o in outputs])[:-1]
-    places = range(len(inputs[0]))
-    for k in reversed(places) if backwards else places:
-        u = np.concatenate([part[k] for part in inputs])
-        for o, value in zip(outputs, np.split(system.C @ x + system.D @ u, edges), strict=True):
-            o[k] = value
-        x = system.A @ x + system.B @ u
+    """The states sample by sample, then all outputs."""
+    u = np.concatenate(inputs, axis=1)
+    pushed, states = u @ system.B.T, np.empty((len(u), len(x)))
+    for k in range(len(u) - 1, -1, -1) if backwards else range(len(u)):
+        states[k] = x
+        x = system.A @ x + pushed[k]
+    found, column = states @ system.C.T + u @ system.D.T, 0
+    for out in outputs:
+        out[:] = found[:, column : column + out.shape[1]]
+        column += out.shape[1]
     return x
 
 

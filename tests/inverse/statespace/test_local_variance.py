@@ -91,7 +91,7 @@ def test_weighted_sums_have_the_dense_variance_and_survive_a_file(memory: float)
     own, given = random_record(memory)
     known = dense(own, given)
     w = np.random.default_rng(0).standard_normal((2, SAMPLES, 2))
-    kept = WidenedPosterior(LocalVariancePosterior(own, given), 0.1 * known.load[None])
+    kept = WidenedPosterior(LocalVariancePosterior(Smoother(own, given)), 0.1 * known.load[None])
     for one in (kept, from_arrays(kept.to_arrays())):
         added = (0.1 * np.einsum("ksp,sp->k", w, known.load)) ** 2
         expected = np.einsum("ki,ij,kj->k", w.reshape(2, -1), known.covariance, w.reshape(2, -1)) + added
