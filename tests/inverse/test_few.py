@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-from threading import Thread
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from loadid._inverse import threads
 from loadid._inverse.constrained.few import Band, FewFace, FewRows, Scales
 from loadid._inverse.constrained.path import ConstrainedPath
 from loadid._inverse.constrained.quadratic import Quadratic
@@ -145,24 +141,3 @@ def test_interior_point_of_few_rows_is_that_of_the_whole() -> None:
     assert few is not None
     assert whole is not None
     np.testing.assert_allclose(few.h, whole.h, atol=1e-6 * np.abs(whole.h).max())
-
-
-def test_threads_come_back_with_the_last_that_leaves() -> None:
-    """One inside, those of before outside, however the calls of several threads lie within each other."""
-    libraries = threads._libraries()
-    before = [get() for get, _ in libraries]
-    inside: list[int] = []
-
-    def other() -> None:
-        with threads.single():
-            inside.extend(get() for get, _ in libraries)
-
-    with threads.single():
-        worker = Thread(target=other)
-        worker.start()
-        worker.join()
-        inside.extend(get() for get, _ in libraries)
-    with pytest.raises(ZeroDivisionError), threads.single():
-        partial(divmod, 1)(0)
-    assert set(inside) <= {1}
-    assert [get() for get, _ in libraries] == before

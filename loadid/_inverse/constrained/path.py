@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import log
@@ -12,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._threads import one_thread
 from structures.errors import InputError
 
 from ...constraints import Constraint
 from ..path import Coefficients, PathPoint, RegularizationPath, Solution
 from ..posterior import FacePosterior, FramesPosterior, Posterior
 from ..svd import SVDPath
-from ..threads import single
 from . import activeset
 from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
@@ -169,10 +170,10 @@ class ConstrainedPath(RegularizationPath):
         self._solvers: OrderedDict[float, ConstrainedSolver] = OrderedDict()
         self._known: dict[float, Array] = {}  # scalars: several rules and guards sweep the same lambdas
 
-    @property
-    def _small(self) -> bool:
-        """Whether a factorisation on a face is too little work for several threads."""
-        return len(self.base.c) * int(np.count_nonzero(self.base.c)) ** 2 < SMALL
+    def _threads(self) -> AbstractContextManager[None]:
+        """One thread of the linear algebra where a factorisation on a face is too little work for several."""
+        small = len(self.base.c) * int(np.count_nonzero(self.base.c)) ** 2 < SMALL
+        return one_thread() if small else nullcontext()
 
     @property
     def unconstrained(self) -> SVDPath:
@@ -202,7 +203,7 @@ class ConstrainedPath(RegularizationPath):
             raise InputError("no relative lambda", where="lambda", found=lam, expected="finite numbers >= 0")
         each = np.atleast_1d(lam)
         rows = np.zeros((9, len(each)))
-        with single(self._small):
+        with self._threads():
             for k in np.argsort(-each, kind="stable"):
                 value = float(each[k])
                 if value not in self._known:
@@ -226,7 +227,7 @@ class ConstrainedPath(RegularizationPath):
         load = np.stack([self._load(p) for p in self._solved(lam)]).reshape(self.path.problem.load_shape)
         if sigma is None:
             return Solution(load, None)
-        with single(self._small):
+        with self._threads():
             faces = [self._tangent(lam, k) for k in range(len(self._columns.T))]
             return Solution(load, posterior(faces, sigma, self.path.problem.shape, self.path.problem.frames))
 
@@ -269,7 +270,7 @@ class ConstrainedPath(RegularizationPath):
             b = prepared.compress(column)[0]
             inside = self._sets[min(k, len(self._sets) - 1)]
             drawn = [b + level * (rng.standard_normal(len(b)) @ self._turn) for level in np.broadcast_to(sigma, draws)]
-            with single(self._small):
+            with self._threads():
                 out.append([self._load(activeset.solve(prepared.quadratic, x, inside, point)) for x in drawn])
         return np.swapaxes(np.array(out), 0, 1).reshape(draws, *self.path.problem.load_shape)
 
@@ -324,7 +325,7 @@ class ConstrainedPath(RegularizationPath):
         return self._points[lam]
 
     def _run(self, lam: float, starts: Sequence[ActivePoint] | None) -> tuple[ActivePoint, ...]:
-        with single(self._small):
+        with self._threads():
             self._points[lam] = self._solver(lam).points(self._columns, self.feasible, starts or ())
         return self._points[lam]
 
