@@ -26,6 +26,7 @@ from .header import (
     cells_of,
     columns_of,
     header,
+    in_seconds,
     is_unit,
     is_units_row,
     number_of,
@@ -158,6 +159,7 @@ class Lines:
             _, ended, data = data.partition(b"\n")
             self.skipping = not ended
         whole, ended, self.rest = data.rpartition(b"\n")
+        whole = in_seconds(whole)
         lines = whole.split(b"\n") if ended else []
         if len(self.rest) > LONGEST:
             self.skipping, self.rest = True, b""
@@ -182,7 +184,8 @@ class Lines:
             assert layout is not None
             raise InputError("no line of the stream can be read", where="stream", found=printable(self.example),
                              expected=f"{layout.width} numbers with a comma, semicolon or tab between them",
-                             hint="time stamps are seconds, as 12.345; name the columns in the first line")  # fmt: skip
+                             hint="time stamps are seconds, as 12.345, or 2026-03-01T10:00:00.25Z; name the columns in "
+                             "the first line")  # fmt: skip
 
     # -- lines of names ---------------------------------------------------------------------------------------------
     def _begun(self, lines: list[bytes]) -> list[bytes]:
@@ -297,6 +300,7 @@ class Lines:
         if self.layout is None or self.skipping or not many or (self._many < COLD and not _numbers.built):
             return None
         whole, _, rest = (self.rest + data).rpartition(b"\n")
+        whole = in_seconds(whole)
         mark = separator_of(whole.partition(b"\n")[0])[0]
         if mark == SPACE or len(rest) > LONGEST:
             return None

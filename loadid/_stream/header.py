@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime as dt
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -16,6 +17,11 @@ from structures.errors import InputError
 TIME = ("t", "time", "zeit", "timestamp", "seconds")
 MISSING = ("", "nan", "na", "null", "none", "-")
 TICK = ""  # the unit of the time stamps, among those of sensors
+CLOCK = (
+    rb"(?<![^,;\t\n\" ])\d{4}[-/]\d\d[-/]\d\d[T ]\d\d:\d\d(?::\d\d(?:%s\d+)?)?"
+    rb"(?:Z|[+-]\d\d(?::?\d\d)?)?(?![^,;\t\n\r\" ])"
+)  # a cell of its own
+STAMP, COMMA_STAMP = re.compile(CLOCK % rb"\."), re.compile(CLOCK % b"[.,]")
 TITLE = re.compile(r"\s*(.*?)\s*(?:\[(.*)\]|\((.*)\))?\s*", re.DOTALL)
 
 
@@ -184,6 +190,30 @@ def cells_of(line: bytes) -> list[str]:
         with suppress(csv.Error, StopIteration):
             return [c.strip() for c in next(csv.reader([text], delimiter=mark, skipinitialspace=True))]
     return [c.strip() for c in text.split(mark)]
+
+
+def in_seconds(text: bytes) -> bytes:
+    """Lines with their ISO 8601 stamps as seconds since 1970: ``2026-03-01T10:00:00.25Z``; UTC where they say nothing.
+
+    A blank for the ``T``, strokes for the dashes and, where no comma separates cells, a decimal comma are read too.
+    """
+    if b":" not in text:
+        return text
+    found = STAMP.search(text)
+    if found is None:
+        return text
+    begin = text.rfind(b"\n", 0, found.start()) + 1
+    comma = separator_of(text[begin:].partition(b"\n")[0]) != b","
+    return (COMMA_STAMP if comma else STAMP).sub(_seconds, text)
+
+
+def _seconds(found: re.Match[bytes]) -> bytes:
+    text = found[0].decode().replace(",", ".").replace("/", "-")
+    try:
+        when = dt.datetime.fromisoformat(text)
+    except ValueError:  # no such day
+        return found[0]
+    return repr((when if when.tzinfo else when.replace(tzinfo=dt.UTC)).timestamp()).encode()
 
 
 def number_of(cell: str) -> float | None:

@@ -5,6 +5,7 @@ import os
 import socket
 import sys
 import threading
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import EntryPoint, EntryPoints
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from loadid import cli
 from loadid._families.tracking import tracker as checkpoint
 from loadid._families.tracking.tracker import Tracker
-from loadid._stream import follow
+from loadid._stream import follow, framing
 from loadid._stream.clock import Clock
 from loadid._stream.framing import Lines
 from loadid._stream.header import ColumnLayout
@@ -244,3 +245,52 @@ def test_a_run_that_stops_between_a_header_and_its_units_goes_on(made, tmp_path)
         follow(tracker, str(log), str(tmp_path / "o"), state=state, stream=stream, idle=0)
     found = np.loadtxt(tmp_path / "o", delimiter=",", skiprows=1)[:, :-2]
     assert np.array_equal(found[:, 1:], expected)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "when"),
+    [
+        ("2026-03-01T10:00:00.25Z", datetime(2026, 3, 1, 10, 0, 0, 250_000, UTC)),
+        ("2026-03-01 10:00:00.25", datetime(2026, 3, 1, 10, 0, 0, 250_000, UTC)),
+        ("2026/03/01 10:00", datetime(2026, 3, 1, 10, 0, tzinfo=UTC)),
+        ("2026-03-01T10:00:00+01:00", datetime(2026, 3, 1, 9, 0, tzinfo=UTC)),
+        ("2026-03-01T10:00:00.123456789-0530", datetime(2026, 3, 1, 15, 30, 0, 123_456, UTC)),
+    ],
+)
+@pytest.mark.parametrize("pieces", [10**9, 7])
+def test_iso_stamps_are_seconds_since_1970(stamp, when, pieces):
+    for names in ("time,a [m/s^2],d [m]\n", ""):
+        data = f'{names}{stamp},1,2\n"{stamp}",,4\n'.encode()
+        lines, stamps, values = Lines(SENSORS), [], []
+        for k in range(0, len(data), pieces):
+            t, y = lines.push(data[k : k + pieces])
+            stamps += [] if t is None else t.tolist()
+            values += y.tolist()
+        assert stamps == [when.timestamp()] * 2
+        np.testing.assert_array_equal(values, [[1, 2], [np.nan, 4]])
+    with_comma = f"zeit;a [m/s^2];d [m]\n{stamp.replace('.', ',')};1,5;2\n".encode()
+    stamps, values = Lines(SENSORS).push(with_comma)
+    assert stamps.tolist() == [when.timestamp()]
+    assert values.tolist() == [[1.5, 2]]
+
+
+def test_a_decimal_comma_of_a_stamp_is_no_comma_between_cells_and_no_day_is_made_up():
+    stamps, values = Lines(SENSORS).push(b"t,a [m/s^2],d [m]\n2026-03-01T10:00:00,125,2\n2026-02-30T10:00:00,1,2\n")
+    assert stamps.tolist() == [datetime(2026, 3, 1, 10, tzinfo=UTC).timestamp()]
+    assert values.tolist() == [[125, 2]]
+
+
+def test_iso_stamps_in_a_long_piece_are_read_as_line_by_line(monkeypatch):
+    head, first = b"time,a [m/s^2],d [m]\n", datetime(2026, 3, 1, tzinfo=UTC)
+    body = b"".join(f"{(first + timedelta(milliseconds=k)).isoformat()},{k},-{k}e-3\n".encode() for k in range(3000))
+    lines = Lines(SENSORS)
+    lines.push(head)
+    slow = lines.push(body)
+    monkeypatch.setattr(framing, "COLD", 0)
+    lines = Lines(SENSORS)
+    lines.push(head)
+    fast = lines.push(body)
+    assert len(fast[0]) == 3000
+    np.testing.assert_array_equal(fast[0], slow[0])
+    np.testing.assert_array_equal(fast[1], slow[1])
+    np.testing.assert_allclose(np.diff(fast[0]), 1e-3, atol=5e-7)
