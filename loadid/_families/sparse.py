@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
 from structures._model import Model, as_model
+from structures._threads import one_thread
 from structures.errors import InputError, as_array, real
 
 from .._guards import families as told
@@ -113,6 +114,7 @@ class SparseDeconvolution:
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
         self._progress = Progress(progress)
 
+    @one_thread()
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads that caused a record.
 

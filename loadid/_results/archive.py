@@ -61,8 +61,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "fiub":  # entry by entry takes seconds of a long record
-        known = np.isfinite(value)
-        return value.tolist() if known.all() else np.where(known, value.astype(object), None).tolist()
+        if (known := np.isfinite(value)).all():
+            return value.tolist()
+        value = value.astype(object)
+        value[~known] = None
+        return value.tolist()
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple) and set(map(type, value)) == {float}:
