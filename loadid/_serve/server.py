@@ -15,6 +15,7 @@ from typing import Any
 
 from structures.errors import InputError
 
+from .._stream.framing import compile_parser
 from .._stream.output import StateLock
 from .brokers import Kafka, Mqtt, Publisher, ZeroMq
 from .inputs import Feed, Files, Piece, Sockets
@@ -68,6 +69,7 @@ class Server:
                                  found=error.strerror or str(error), hint="check states") from None  # fmt: skip
             held.enter_context(StateLock(plan.states / "server"))
             held.callback(self._published)
+            compile_parser()
             self.lives: dict[str, Live] = {}
             for k, asset in enumerate(plan.assets):
                 told(k / len(plan.assets), f"reading tracker {asset.name}")

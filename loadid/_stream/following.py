@@ -18,6 +18,7 @@ from .header import ColumnLayout
 Array = NDArray[np.float64]
 Watch = Callable[[Array, Array, Array], None]
 
+DIGITS = 4  # of a NIS, behind the point
 LARGEST = 62  # channels that a whole number tells apart
 ROWS = 256  # rows placed in time at once: each may stand for a gap
 
@@ -142,7 +143,7 @@ class Following:
             times, load, std = self._answered(times, rows.load, rows.std)
             now = slice(len(Y) - len(times), None)
             if self.told:
-                nis = self.tracker.nis(rows.e[now])
+                nis = np.round(self.tracker.nis(rows.e[now]), DIGITS)
                 marks = np.column_stack([alarms[now], _phases(rows)[now], _kept_out(Y, rows.e)[now]])
                 table.write(times, load, np.column_stack([std, nis]), marks)
             else:

@@ -365,6 +365,11 @@ class Lines:
         return t[good], values[good]  # one without its stamp is a gap, which the next stamp tells
 
 
+def compile_parser() -> None:
+    """Load the compiler of what reads numbers now, and not after so many lines: for those who read many streams."""
+    _numbers.build()
+
+
 @Compiled
 def _numbers(
     text: NDArray[np.int8], mark: int, tens: Array, longest: int, table: Array, others: NDArray[np.int64]

@@ -414,19 +414,23 @@ class Running:
         One is expected. By the correlation of the innovations at the settled gain, of the channels that are there;
         NaN where none is.
         """
+        root = np.eye(e.shape[1]) if self.fitted.settled is None else self._correlation
         there = np.isfinite(e)
-        out, whole = np.full(len(e), np.nan), there.all(axis=1)
-        patterns = [np.ones(e.shape[1], bool)] if whole.all() else np.unique(there, axis=0)
-        for pattern in patterns:
-            if not pattern.any():
-                continue
-            rows = (there == pattern).all(axis=1)
-            z = e[np.ix_(rows, pattern)]
-            if self.fitted.settled is not None:
-                root = self.fitted.settled.Se_root / self.fitted.settled.innovation_std[:, None]
-                z = solve_lower(lower(root[pattern]), z.T).T
-            out[rows] = np.mean(z**2, axis=1)
+        if there.all():
+            return np.mean(solve_lower(root, e.T) ** 2, axis=0)
+        out = np.full(len(e), np.nan)
+        for pattern in np.unique(there, axis=0):
+            if pattern.any():
+                rows = (there == pattern).all(axis=1)
+                out[rows] = np.mean(solve_lower(lower(root[pattern]), e[np.ix_(rows, pattern)].T) ** 2, axis=0)
         return out
+
+    @property
+    def _correlation(self) -> Array:
+        """Root of the correlation of innovations at the settled gain (m, m)."""
+        settled = self.fitted.settled
+        assert settled is not None
+        return np.asarray(settled.Se_root / settled.innovation_std[:, None])
 
     def _filtered(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
         """Fill the rows of samples, without those of channels that the watch finds wrong."""
