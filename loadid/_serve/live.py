@@ -194,7 +194,7 @@ class Live:
         if rows.parts:
             times, load, std, *alarms = rows.whole()
             self.sinks.write(times, load, std, *alarms)
-            self.last = Last(float(times[-1]), load[-1], std[-1], self.last.heard)
+            self.last = Last(float(times[-1]), load[-1, : std.shape[1]], std[-1], self.last.heard)
             self.rows += len(times)
         return count
 

@@ -52,9 +52,9 @@ class Following:
     alarm : tuple of (float, int, int) or None
         Time from which the rows have had the alarm of the last one, its code and channel (from 1; 0 for none).
     alarms, told : bool
-        Rows hold the code and the channel of their alarm; and, before these, the NIS for each channel, behind them the
-        phase (0 starting, 1 settled, 2 open loop) and the channels that are kept out, the first as 1, the second as 2,
-        then 4, 8, ...
+        Rows end with the code and the channel of their alarm; and have the NIS for each channel behind the loads, at
+        their end the phase (0 starting, 1 settled, 2 open loop) and the channels that are kept out, the first as 1, the
+        second as 2, then 4, 8, ...
     """
 
     def __init__(
@@ -86,8 +86,8 @@ class Following:
         return [
             "time [s]",
             *(f"{c.label} [{c.unit}]" for c in f.loads),
-            *(f"std of {c.label} [{c.unit}]" for c in f.loads),
             *(["NIS"] if self.told else []),
+            *(f"std of {c.label} [{c.unit}]" for c in f.loads),
             *(["alarm", "alarm channel"] if self.alarms else []),
             *(["phase", "kept out"] if self.told else []),
         ]
@@ -145,7 +145,7 @@ class Following:
             if self.told:
                 nis = np.round(self.tracker.nis(rows.e[now]), DIGITS)
                 marks = np.column_stack([alarms[now], _phases(rows)[now], _kept_out(Y, rows.e)[now]])
-                table.write(times, load, np.column_stack([std, nis]), marks)
+                table.write(times, np.column_stack([load, nis]), std, marks)
             else:
                 table.write(times, load, std, alarms[now] if self.alarms else None)
             if watch is not None and len(times):
