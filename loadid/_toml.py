@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from structures.errors import InputError
 
 
-class Said:
+class PlanReader:
     """The values of a plan, checked one by one.
 
     Parameters

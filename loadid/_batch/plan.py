@@ -160,7 +160,7 @@ def read(path: str | os.PathLike[str], **changes: Any) -> Plan:
         records without a file, two assets of one name.
     """
     file, tree = Path(path), _toml.read(path)
-    said = Said(str(path), NAMES)
+    said = BatchPlanReader(str(path), NAMES)
     said.known(tree, "plan", str(path))
     output = said.text(tree, "output", str(path))
     common = said.table(tree, "reading")
@@ -172,7 +172,7 @@ def read(path: str | os.PathLike[str], **changes: Any) -> Plan:
     )  # fmt: skip
 
 
-class Said(_toml.Said):
+class BatchPlanReader(_toml.PlanReader):
     """The values of a plan, checked one by one."""
 
     def asset(self, tree: dict[str, Any], common: dict[str, Any], folder: Path) -> Asset:

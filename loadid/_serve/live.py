@@ -18,9 +18,9 @@ from structures.errors import InputError
 from .._families.tracking import tracker as checkpoint
 from .._stream.clock import REGULAR
 from .._stream.following import Following
-from .inputs import Feed, Piece
-from .journal import Entry
-from .plan import BROKERS, Asset
+from .inputs import Feed, Received
+from .journal import JournalEntry
+from .plan import BROKERS, LiveAsset
 from .sinks import Sinks
 
 RECENT = 1000  # messages by which one that is sent twice is known again
@@ -54,7 +54,7 @@ class Live:
 
     Parameters
     ----------
-    asset : Asset
+    asset : LiveAsset
     state : Path
         File of its checkpoints.
     sinks : callable
@@ -75,7 +75,7 @@ class Live:
     """
 
     def __init__(
-        self, asset: Asset, state: Path, sinks: Callable[[Asset, Sequence[str], dict[str, Any] | None], Sinks]
+        self, asset: LiveAsset, state: Path, sinks: Callable[[LiveAsset, Sequence[str], dict[str, Any] | None], Sinks]
     ) -> None:
         self.asset, self._state = asset, state
         there = state.exists()
@@ -101,7 +101,7 @@ class Live:
         if not there:
             self.checkpoint()  # which output is its own is known before the first row
 
-    def knows(self, piece: Piece) -> bool:
+    def knows(self, piece: Received) -> bool:
         """Whether a message is sent again that was taken before.
 
         Its broker says so, or it holds the same rows with the same time stamps.
@@ -112,14 +112,14 @@ class Live:
             return False
         return self._recent.has(piece.key, numbered=not stamped)
 
-    def entry(self, piece: Piece) -> Entry:
+    def entry(self, piece: Received) -> JournalEntry:
         """A piece as it goes into the journal; it is numbered by this."""
-        found = Entry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
+        found = JournalEntry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
         self.serial += 1
         self._recent.add([found.key] if found.key else [])  # the same may come once more in this round
         return found
 
-    def take(self, entries: Sequence[Entry]) -> int:
+    def take(self, entries: Sequence[JournalEntry]) -> int:
         """Track what has come; how many samples it was. A stream that cannot be read halts the structure alone.
 
         Raises
@@ -178,7 +178,7 @@ class Live:
         """Let go of its tables."""
         self.sinks.close()
 
-    def _read(self, entries: Sequence[Entry]) -> int:
+    def _read(self, entries: Sequence[JournalEntry]) -> int:
         data = b"".join(entry.data for entry in entries)
         if self.halted or not data:
             return 0

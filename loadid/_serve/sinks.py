@@ -23,7 +23,7 @@ from structures.files import _storage as storage
 
 from .._stream.output import Output
 from .brokers import PUBLISHERS, Publisher
-from .plan import Address, Asset
+from .plan import Address, LiveAsset
 
 KIND = "tracked loads"
 BEHIND = 1 << 20  # bytes that a listener may be behind, before it is left
@@ -46,7 +46,7 @@ class Sink(Protocol):
         """Let go of it."""
 
 
-class Parts:
+class PartFiles:
     """A folder of files, each with the rows between two checkpoints.
 
     Parameters
@@ -196,7 +196,7 @@ class Sinks:
 
     Parameters
     ----------
-    asset : Asset
+    asset : LiveAsset
     head : sequence of str
         Names of the columns.
     before : mapping, optional
@@ -206,7 +206,7 @@ class Sinks:
     """
 
     def __init__(
-        self, asset: Asset, head: Sequence[str], before: Mapping[str, Any] | None,
+        self, asset: LiveAsset, head: Sequence[str], before: Mapping[str, Any] | None,
         publishers: dict[tuple[str, str, int, str], Publisher],
     ) -> None:  # fmt: skip
         self.counts: Counter[str] = Counter()
@@ -218,7 +218,7 @@ class Sinks:
             if address.scheme == "file" and path.suffix == ".csv":
                 self._each[where] = _table(path, head, before.get(where))
             elif address.scheme == "file":
-                self._each[where] = Parts(path, head, int(before.get(where) or 0))
+                self._each[where] = PartFiles(path, head, int(before.get(where) or 0))
             elif address.scheme == "tcp":
                 self._each[where] = Listeners(address, head, self.counts)
             else:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._families.tracking.running import Rows
+from .._families.tracking.running import TrackedRows
 from .._families.tracking.tracker import Tracker
 from .clock import REGULAR, Behind, Clock
 from .framing import Lines
@@ -23,11 +23,11 @@ LARGEST = 62  # channels that a whole number tells apart
 ROWS = 256  # rows placed in time at once: each may stand for a gap
 
 
-class Table(Protocol):
+class RowWriter(Protocol):
     """What takes the rows: a file that grows, a pipe, messages."""
 
     def write(self, times: Array, load: Array, std: Array, alarms: NDArray[np.int_] | None = None) -> None:
-        """Rows: times (rows,), loads and stds (rows, any), and whole numbers (rows, any) behind them."""
+        """TrackedRows: times (rows,), loads and stds (rows, any), and whole numbers (rows, any) behind them."""
 
 
 class Following:
@@ -117,7 +117,7 @@ class Following:
         """What follows comes from another file or connection: it may begin with a header, or repeat itself."""
         self.lines.another()
 
-    def take(self, stamps: Array | None, values: Array, table: Table, watch: Watch | None = None) -> int:
+    def take(self, stamps: Array | None, values: Array, table: RowWriter, watch: Watch | None = None) -> int:
         """Track rows that `lines` has read; how many samples they are, those without data among them.
 
         Raises
@@ -135,7 +135,7 @@ class Following:
         return count
 
     # -- inside -----------------------------------------------------------------------------------------------------
-    def _placed(self, stamps: Array | None, values: Array, table: Table, watch: Watch | None) -> int:
+    def _placed(self, stamps: Array | None, values: Array, table: RowWriter, watch: Watch | None) -> int:
         times, Y = self.clock.place(stamps, values)
         rows, alarms = self._tracked(Y, self.clock.behind)
         if len(Y):
@@ -160,9 +160,13 @@ class Following:
         if not goes_on:
             self.alarm = (float(times[int(others[-1]) + 1 if len(others) else 0]), code, channel) if code else None
 
-    def _tracked(self, Y: Array, behind: Sequence[Behind]) -> tuple[Rows, NDArray[np.int_]]:
+    def _tracked(self, Y: Array, behind: Sequence[Behind]) -> tuple[TrackedRows, NDArray[np.int_]]:
         """Rows and alarms of samples, each late one put in its place when it comes: answers that are out stay."""
-        out, alarms, k = Rows.of(len(Y), len(self.tracker.fitted.loads), Y.shape[1]), np.zeros((len(Y), 2), int), 0
+        out, alarms, k = (
+            TrackedRows.of(len(Y), len(self.tracker.fitted.loads), Y.shape[1]),
+            np.zeros((len(Y), 2), int),
+            0,
+        )
         for after, row, ago in [*behind, Behind(len(Y), np.empty(0), -1)]:
             if after > k:
                 out[k:after].take(self.tracker.rows(Y[k:after]))
@@ -182,7 +186,7 @@ class Following:
         return every[:answered], load[first:], std[first:]
 
 
-def _phases(rows: Rows) -> NDArray[np.int_]:
+def _phases(rows: TrackedRows) -> NDArray[np.int_]:
     """0 starting or gone from a settled gain, 1 settled, 2 open loop: no channel was used (samples,)."""
     return np.where(np.isfinite(rows.e).any(axis=1), rows.settled, 2)
 

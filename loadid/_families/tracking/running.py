@@ -123,7 +123,7 @@ class Means:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TrackedRows:
     """What is filled for a block: loads and std (samples, p), normalised innovations (samples, m), and `settled`.
 
     `settled` (samples,) is true where a settled gain answered. Innovations are NaN where no channel was used.
@@ -135,18 +135,18 @@ class Rows:
     settled: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, samples: int, p: int, m: int) -> Rows:
+    def of(cls, samples: int, p: int, m: int) -> TrackedRows:
         """Nothing filled yet."""
         return cls(np.empty((samples, p)), np.empty((samples, p)), np.full((samples, m), np.nan),
                    np.zeros(samples, bool))  # fmt: skip
 
-    def take(self, other: Rows) -> None:
+    def take(self, other: TrackedRows) -> None:
         """Fill with what another one holds."""
         self.load[:], self.std[:], self.e[:], self.settled[:] = other.load, other.std, other.e, other.settled
 
-    def __getitem__(self, part: slice) -> Rows:
+    def __getitem__(self, part: slice) -> TrackedRows:
         """Views."""
-        return Rows(self.load[part], self.std[part], self.e[part], self.settled[part])
+        return TrackedRows(self.load[part], self.std[part], self.e[part], self.settled[part])
 
 
 ENGINE_COUNTS = ("samples", "missing", "gated", "believed", "steps", "lost")
@@ -398,9 +398,9 @@ class Running:
         rows = self.rows(Y, progress)
         return rows.load, rows.std, rows.e
 
-    def rows(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> Rows:
+    def rows(self, Y: Array, progress: Callable[[float, str], None] | None = None) -> TrackedRows:
         """All that is told of bare numbers (samples, sensors); `row_alarms` are theirs then."""
-        out = Rows.of(len(Y), self._p, Y.shape[1])
+        out = TrackedRows.of(len(Y), self._p, Y.shape[1])
         if self.fitted.limits is not None:
             Y = self._believable(Y)
         self._filtered(Y, out, progress)
@@ -432,7 +432,7 @@ class Running:
         assert settled is not None
         return np.asarray(settled.Se_root / settled.innovation_std[:, None])
 
-    def _filtered(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+    def _filtered(self, Y: Array, out: TrackedRows, progress: Callable[[float, str], None] | None) -> None:
         """Fill the rows of samples, without those of channels that the watch finds wrong."""
         self.row_alarms = np.zeros((len(Y), 2), int)
         if self._watch is None:
@@ -452,7 +452,7 @@ class Running:
             start = part.stop
         self._means.add(out.e)
 
-    def _placed_block(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+    def _placed_block(self, Y: Array, out: TrackedRows, progress: Callable[[float, str], None] | None) -> None:
         """Fill the rows of samples, which are kept where late ones may come."""
         if self._ring is None:
             self._run(Y, out, progress)
@@ -465,7 +465,7 @@ class Running:
             self._run(Y[part], out[part], progress)
             self._ring.push(Y[part])
 
-    def _run(self, Y: Array, out: Rows, progress: Callable[[float, str], None] | None) -> None:
+    def _run(self, Y: Array, out: TrackedRows, progress: Callable[[float, str], None] | None) -> None:
         """Fill the rows of a block."""
         told = progress or (lambda share, text: None)
         size = 65_536
@@ -525,7 +525,7 @@ class Running:
     def _again(self, Y: Array) -> tuple[Array, Array]:
         """The kept samples once more, from the older anchor on."""
         assert self._ring is not None
-        out = Rows.of(len(Y), self._p, Y.shape[1])
+        out = TrackedRows.of(len(Y), self._p, Y.shape[1])
         marks = [k for k, _ in self._ring.anchors]
         self._restored(self._ring.anchors[0][1])
         anchors, ends = [], [*(k - marks[0] for k in marks), len(Y)]

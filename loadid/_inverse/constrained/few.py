@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..gaussian.compiled import Compiled
 from .feasible import Feasible
-from .quadratic import FAIR, WELL, ActiveFace, Factor, Quadratic, gram_of, lengths
+from .quadratic import FAIR, WELL, ActiveFace, FaceFactor, Quadratic, gram_of, lengths
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int_]
@@ -89,7 +89,7 @@ class FewRows(Quadratic):
         """A^T A h."""
         return np.asarray((self.C @ h) @ self.C + self.rough(h))
 
-    def factor(self, weight: Array) -> Factor:
+    def factor(self, weight: Array) -> FaceFactor:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
         return FewFactor(self, weight)
 

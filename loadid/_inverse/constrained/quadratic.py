@@ -114,7 +114,7 @@ def _turn(A: Array, index: Index, axes: Array) -> None:
     A.T[flat] = np.matmul(axes.transpose(0, 2, 1), rows).reshape(index.size, len(A))
 
 
-class Factor(Protocol):
+class FaceFactor(Protocol):
     """Solves with a matrix, its rows and columns of held unknowns left out."""
 
     def solve(self, r: Array) -> Array:
@@ -176,7 +176,7 @@ class Quadratic:
         """A^T A h."""
         return self.G @ h
 
-    def factor(self, weight: Array) -> Factor:
+    def factor(self, weight: Array) -> FaceFactor:
         """Factors of A^T A + diag(weight); where the weight is infinite, the unknown is held at 0."""
         return CholeskyFactor(self.G, weight)
 
