@@ -2,8 +2,8 @@
 
     --fleet 500          structures of 22 states and 4 sensors at 100 Hz, a message a second from each, for a minute:
                          CPU seconds of the server for a second of the fleet, its memory, lateness of the rows
-    --day                86.4 million rows at 1 kHz (or --rows N) of one structure, as fast as they go, a pause, a lost
-                         connection, doubled and late messages among them: memory after the first hour and at the end
+    --day                86.4 million rows at 1 kHz (or --rows N) of one structure, as fast as they go, with pauses,
+                         doubled, late and lost messages: memory after the first hour and at the end, what was counted
     --kills 1000         by SIGKILL while messages come: tables beside those of an undisturbed run
     --only fleet|day|kills
 
@@ -19,8 +19,10 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 
@@ -30,6 +32,7 @@ from tests.killed import text
 from tests.serve.broker import Mosquitto, free_port, health, tortured, waited
 from tests.tracked import bm2
 
+TROUBLE = {"doubled": 997, "late": 1499, "lost": 1999}  # each so many messages
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -45,13 +48,13 @@ def resident(pid: int) -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
 
 
-def fitted(samples: int) -> tuple[Tracker, np.ndarray]:
+def fitted(samples: int, dt: float = 0.01) -> tuple[Tracker, np.ndarray]:
     """Tracker of a ten-storey building, fitted to a record of it, and a longer record."""
-    case = bm2("matern", 0, samples=samples)
+    case = bm2("matern", 0, samples=samples, dt=dt)
     return LoadTracker(case.setup.space("zoh"), noise=case.noise).fit(case.y[:1500], case.dt), case.y
 
 
-def served(folder: Path, broker: Mosquitto, names: list[str], latency: float) -> subprocess.Popen[bytes]:
+def served(folder: Path, broker: Mosquitto, names: list[str], latency: float) -> tuple[subprocess.Popen[bytes], int]:
     """A server of structures that are alike, once it has subscribed."""
     port = free_port()
     assets = "".join(f'[[asset]]\nname = "{name}"\n' for name in names)
@@ -62,7 +65,7 @@ def served(folder: Path, broker: Mosquitto, names: list[str], latency: float) ->
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen([sys.executable, "-m", "loadid.cli", "serve", str(folder / "plan.toml")], env=env)
     waited(lambda: health(port).get("status") == "ok", "the server", 600)
-    return process
+    return process, port
 
 
 def fleet(structures: int, seconds: int) -> None:
@@ -76,7 +79,7 @@ def fleet(structures: int, seconds: int) -> None:
         tracker.save(folder / "model.h5")
         with Mosquitto(folder) as broker:
             begun = time.monotonic()
-            server = served(folder, broker, names, 0.2)
+            server, _ = served(folder, broker, names, 0.2)
             ready = time.monotonic() - begun
             client, late = broker.client(), []
             start, marks = time.monotonic(), []
@@ -107,32 +110,50 @@ def fleet(structures: int, seconds: int) -> None:
 
 
 def day(rows: int) -> None:
-    """Growth of the memory over a day."""
-    tracker, Y = fitted(6000)
-    lines = text(tracker, Y[1000:], stamps=False)
-    part, size = b"".join(lines[1:]), len(lines) - 1
+    """Growth of the memory over a day of one structure at 1 kHz, a message a second, some of them in trouble."""
+    tracker, Y = fitted(6000, 1e-3)
+    cells = [line.partition(b",")[2] for line in text(tracker, Y[1000:])]
+    head, body = b"time," + cells[0], cells[1:]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         tracker.save(folder / "model.h5")
         with Mosquitto(folder) as broker:
-            server = served(folder, broker, ["mast"], 0.1)
-            client = broker.client()
-            table, base, sent, cpu = folder / "loads" / "mast.csv", 0.0, 0, spent(server.pid)
-            client.publish("mast", lines[0], qos=1)
-            while sent < rows:
-                message = client.publish("mast", part, qos=1)
-                sent += size
-                message.wait_for_publish(60)
-                if not base and sent >= rows / 24:
+            server, port = served(folder, broker, ["mast"], 0.1)
+            client, base, cpu, sent = broker.client(), 0.0, spent(server.pid), Counter[str]()
+            waiting: list[bytes] = []
+            for k in range(rows // 1000):
+                part = body[1000 * (k % 5) : 1000 * (k % 5 + 1)]
+                stamped = b"".join(b"%d.%03d,%s" % (k, i, row) for i, row in enumerate(part))
+                kind = next((what for what, each in TROUBLE.items() if k % each == each - 1), "sound")
+                sent[kind] += 1
+                if kind == "late":
+                    waiting.append(stamped)  # comes after the next
+                elif kind != "lost":
+                    for message in [stamped, *([stamped] if kind == "doubled" else []), *waiting]:
+                        client.publish("mast", head * (k == 0) + message, qos=1)
+                    waiting = []
+                if k % 100 == 99:
+                    waited(lambda k=k: metrics(port)["loadid_messages_total"] >= k - 200, "the server", 300)  # type: ignore[misc]
+                if not base and k >= rows // 24_000:
                     base = resident(server.pid)
-                if table.exists() and table.stat().st_size > 1 << 28:
-                    os.truncate(table, table.stat().st_size)
-            grown, cpu = resident(server.pid) - base, spent(server.pid) - cpu
+                time.sleep(1.0 if k % 20_000 == 19_999 else 0.0)
+            come = rows // 1000 - sent["lost"] + sent["doubled"] - len(waiting)
+            waited(lambda: metrics(port)["loadid_messages_total"] >= come, "the last message", 300)
+            grown, cpu, found = resident(server.pid) - base, spent(server.pid) - cpu, metrics(port)
             server.terminate()
             server.wait(120)
             client.loop_stop()
-    print(f"{sent:,} rows of one structure: {1e6 * cpu / sent:.1f} us a row, growth after the first 24th {grown:.1f} "
-          "MB")  # fmt: skip
+    counts = {kind: found.get(f'loadid_events_total{{structure="mast",kind="{kind}"}}', 0.0)
+              for kind in ("samples", "filled", "late", "jumps")}  # fmt: skip
+    print(f"{rows:,} rows at 1 kHz: {1e6 * cpu / rows:.1f} us a row; growth after the first 24th {grown:.1f} MB; messages "
+          f"sent {dict(sent)}; known again {found['loadid_messages_again_total']:.0f}; {counts}")  # fmt: skip
+
+
+def metrics(port: int) -> dict[str, float]:
+    """What a server tells Prometheus, by name and labels."""
+    with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=30) as answer:
+        lines = [line for line in answer.read().decode().splitlines() if not line.startswith("#")]
+    return {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines}
 
 
 def kills(count: int) -> None:
