@@ -213,10 +213,11 @@ examples:
     acquire | loadid track --model tracker.h5 --in - --out - | alarm
 
 A stream is lines of comma-separated numbers under a line of names with their units, "time [s],top [g]", which are
-those of the sensors in any order; a unit that it does not state is stated with --unit. Without that line the numbers
-come in the order of the sensors and in their SI units, with a time stamp first or without: seconds, or ISO 8601 as
-2026-03-01T10:00:00.25Z, UTC where it says nothing. Empty cells are lost channels. The line of names may come again, as a logger that was restarted writes it: with other columns or units the
-stream is read by it, with a sensor or a unit missing it ends there (exit 3).
+those of the sensors in any order; a unit that it does not state is stated with --unit. Without that line the
+numbers come in the order of the sensors and in their SI units, with a time stamp first or without: seconds, or ISO
+8601 as 2026-03-01T10:00:00.25Z, UTC where it says nothing. Empty cells are lost channels. The line of names may
+come again, as a logger that was restarted writes it: with other columns or units the stream is read by it, with a
+sensor or a unit missing it ends there (exit 3).
 
 A state belongs to one run at a time and to one output, and no answer is ever taken away. Started again after it was
 killed, a run makes the last answers again from a file, byte for byte. Where it cannot, as their samples do not come
