@@ -109,18 +109,25 @@ class Files(Feed):
         found = []
         for name, file in self._open.items():
             left = MOST
-            while left > 0 and (data := file.read(0.0)):
-                found.append(Piece(name, data, fresh=self._fresh.pop(name, False)))
-                left -= len(data)
+            try:
+                while left > 0 and (data := file.read(0.0)):
+                    found.append(Piece(name, data, fresh=self._fresh.pop(name, False)))
+                    left -= len(data)
+                self._down.pop(name, None)
+            except OSError as error:  # it is tried again in the next round
+                self._down[name] = f"{error.strerror or error}: {self._paths[name]}"
         return found
 
     def place(self, name: str, unread: int) -> Any:
-        """As `GrowingFile.place`."""
-        return self._open[name].place(unread) if name in self._open else self._places.get(name)
+        """As `GrowingFile.place`; what is left of a line is none of a new file of which nothing has come yet."""
+        if name not in self._open:
+            return self._places.get(name)
+        return self._open[name].place(0 if self._fresh.get(name) else unread)
 
     def down(self) -> dict[str, str]:
         """Files that are not there."""
-        return dict(self._down)
+        gone = [name for name in self._open if not self._paths[name].exists()]
+        return {name: f"no such file any more: {self._paths[name]}" for name in gone} | self._down
 
     def close(self) -> None:
         """Close the files."""

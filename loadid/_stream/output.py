@@ -6,6 +6,7 @@ goes on makes it again; from the first line that it does not make again it stays
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import io
 import os
@@ -94,6 +95,12 @@ def taken(file: BinaryIO) -> bool:
     except OSError:  # a file system without locks
         pass
     return True
+
+
+def swept(path: Path) -> None:
+    """Remove what a run that was killed while it replaced a file has left beside it; no other run may write it now."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        left.unlink(missing_ok=True)
 
 
 TAIL = 256  # bytes before the end by which an output is known again
@@ -191,7 +198,10 @@ class Output:
         self._begin()
         self._file.flush()
         if self.path is not None:
-            os.fsync(self._file.fileno())
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise self._full(error) from None
 
     def place(self) -> dict[str, Any] | None:
         """Where it ends now."""
@@ -226,12 +236,15 @@ class Output:
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise InputError("the output cannot be written", where=str(self.path or "output"),
-                             found=error.strerror or str(error),
-                             hint="make room and start again: a state goes on where it was") from None  # fmt: skip
+            raise self._full(error) from None
         if self.path is None:
             self._file.flush()
         self._passed(data)
+
+    def _full(self, error: OSError) -> InputError:
+        return InputError("the output cannot be written", where=str(self.path or "output"),
+                          found=error.strerror or str(error),
+                          hint="make room and start again: a state goes on where it was")  # fmt: skip
 
     def _passed(self, data: bytes) -> None:
         self.at += len(data)

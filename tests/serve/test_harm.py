@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import time
 from pathlib import Path
@@ -10,11 +11,14 @@ from typing import Any
 import pytest
 
 from loadid._serve import plan
+from loadid._serve.live import Live
 from loadid._serve.metrics import health
 from loadid._serve.server import Server
+from loadid._stream.following import Following
+from structures.errors import InputError
 
 from .broker import Mosquitto, free_port, waited
-from .served import fitted, lines, rounds, rows, server
+from .served import fitted, lines, rounds, rows, server, undisturbed
 
 
 def two(folder: Path, sources: tuple[str, str], sinks: str = '"{name}.csv"') -> plan.Plan:
@@ -25,6 +29,103 @@ def two(folder: Path, sources: tuple[str, str], sinks: str = '"{name}.csv"') -> 
         f'[[asset]]\nname = "mast"\nsource = "{sources[0]}"\n[[asset]]\nname = "roof"\nsource = "{sources[1]}"\n'
     )
     return plan.read(folder / "plan.toml")
+
+
+def test_an_error_that_nobody_expected_halts_one_structure_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, asked = lines(), two(tmp_path, ("mast.log", "roof.log"))
+    for name in ("mast", "roof"):
+        (tmp_path / f"{name}.log").write_bytes(b"".join(log))
+    with Server(asked) as one, monkeypatch.context() as patch:
+        broken, real = one.lives["mast"].follows, Following.take
+
+        def take(self: Following, *words: Any) -> int:
+            if self is broken:
+                raise ZeroDivisionError("float division by zero")
+            return real(self, *words)
+
+        patch.setattr(Following, "take", take)
+        rounds(one, lambda: rows(tmp_path, "roof.csv") == 1500, "the rows")
+        assert health(one)["halted"] == {"mast": "ZeroDivisionError: float division by zero"}
+        assert rows(tmp_path) <= 0
+    with Server(asked) as one:
+        rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
+
+
+def test_a_file_that_fails_is_down_alone_and_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, asked = lines(), two(tmp_path, ("mast.log", "roof.log"))
+    for name in ("mast", "roof"):
+        (tmp_path / f"{name}.log").write_bytes(b"".join(log))
+    with Server(asked) as one:
+        feed: Any = one.feeds["mast"]
+        one.round()
+        with monkeypatch.context() as patch:
+            real = Path.open
+
+            def opened(self: Path, *words: Any, **settings: Any) -> Any:
+                if self.name == "mast.log":
+                    raise PermissionError(13, "Permission denied")
+                return real(self, *words, **settings)
+
+            (tmp_path / "next").write_bytes(b"")
+            os.replace(tmp_path / "next", tmp_path / "mast.log")
+            patch.setattr(Path, "open", opened)
+            rounds(one, lambda: rows(tmp_path, "roof.csv") == 1500, "the rows of the other")
+            assert "Permission denied" in health(one)["disconnected"]["mast"]
+        rounds(one, lambda: not feed.down(), "the file")
+        (tmp_path / "mast.log").unlink()
+        one.round()
+        assert "mast" in health(one)["disconnected"]
+    assert rows(tmp_path) == 1500
+
+
+def test_a_new_file_behind_one_that_was_broken_off_is_gone_on_with(tmp_path: Path) -> None:
+    log = lines()
+    (tmp_path / "log.csv").write_bytes(b"".join(log[:601]) + log[601][:20])
+    with server(tmp_path, "log.csv") as one:
+        rounds(one, lambda: rows(tmp_path) == 600, "the rows")
+        os.replace(tmp_path / "log.csv", tmp_path / "log.csv.1")
+        (tmp_path / "log.csv").write_bytes(b"")
+        one.round()
+        one.lives["mast"].checkpoint()
+    with server(tmp_path, "log.csv") as one:
+        one.round()
+        (tmp_path / "log.csv").write_bytes(b"".join([log[0], *log[601:]]))
+        rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
+
+
+def test_a_new_file_whose_time_begins_again_is_tracked_as_by_track(tmp_path: Path) -> None:
+    log = lines()
+    (tmp_path / "log.csv").write_bytes(b"".join(log[:801]))
+    with server(tmp_path, "log.csv") as one:
+        rounds(one, lambda: rows(tmp_path) == 800, "the rows")
+        os.replace(tmp_path / "log.csv", tmp_path / "log.csv.1")
+        (tmp_path / "log.csv").write_bytes(b"".join(log[:501]))
+        rounds(one, lambda: not one.round(), "the second file")
+        assert "again" not in one.lives["mast"].follows.counts
+        assert one.lives["mast"].rows >= 1300 - 1
+
+
+def test_a_kill_between_the_first_table_and_the_first_state_locks_nobody_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = lines()
+    (tmp_path / "log.csv").write_bytes(b"".join(log))
+    fitted()[0].save(tmp_path / "model.h5")
+    with monkeypatch.context() as patch:
+
+        def killed(*words: Any) -> None:
+            raise SystemExit
+
+        patch.setattr("loadid._serve.live.checkpoint.save", killed)
+        with pytest.raises(SystemExit):
+            server(tmp_path, "log.csv")
+    with server(tmp_path, "log.csv") as one:
+        rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
 def test_a_message_that_is_too_large_for_a_cluster_is_counted(tmp_path: Path) -> None:
@@ -128,3 +229,38 @@ def test_a_topic_that_was_refused_stays_so(tmp_path: Path) -> None:
         feed._granted(None, None, 2, [Reason(False)], None)
         assert set(feed.down()) == {"mast"}
         assert "Not authorized" in feed.down()["mast"]
+
+
+def test_what_came_for_a_halted_structure_is_heard(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes(b"time,a0\n1,2\n")
+    with server(tmp_path, "log.csv") as one:
+        rounds(one, lambda: bool(one.lives["mast"].halted), "the halt")
+        before = one.lives["mast"].last.heard
+        with (tmp_path / "log.csv").open("ab") as file:
+            file.write(b"1,2\n")
+        one.round()
+        assert one.lives["mast"].last.heard > before
+
+
+def test_what_a_kill_left_of_a_checkpoint_is_swept(tmp_path: Path) -> None:
+    with server(tmp_path, "log.csv"):
+        pass
+    left = tmp_path / "states" / ".mast.h5.0123456789ab.tmp"
+    left.touch()
+    with server(tmp_path, "log.csv"):
+        assert not left.exists()
+
+
+def test_a_table_that_cannot_be_synced_is_an_error_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.csv").write_bytes(b"".join(lines()))
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with server(tmp_path, "log.csv") as one:
+        one.round()
+        live: Live = one.lives["mast"]
+        with monkeypatch.context() as patch:
+            patch.setattr("loadid._stream.output.os.fsync", full)
+            with pytest.raises(InputError, match="output cannot be written"):
+                live.checkpoint()
