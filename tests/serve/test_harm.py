@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import socket
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import h5py
 import pytest
 
 from loadid._serve import plan
 from loadid._serve.live import Live
-from loadid._serve.metrics import health
+from loadid._serve.metrics import Endpoint, health
 from loadid._serve.server import Server
 from loadid._stream.following import Following
 from structures.errors import InputError
@@ -128,6 +130,20 @@ def test_a_kill_between_the_first_table_and_the_first_state_locks_nobody_out(
     assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
 
 
+def test_parts_that_no_state_knows_are_not_written_over(tmp_path: Path) -> None:
+    asked = two(tmp_path, ("mast.log", "roof.log"), '"{name}.h5"')
+    (tmp_path / "mast.log").write_bytes(b"".join(lines()))
+    with Server(asked) as one:
+        rounds(one, lambda: one.lives["mast"].rows == 1500, "the rows")
+        one.lives["mast"].checkpoint()
+    (tmp_path / "states" / "mast.h5").unlink()
+    with pytest.raises(InputError, match="no state says"):
+        Server(asked)
+    (part,) = (tmp_path / "mast.h5").iterdir()
+    with h5py.File(part) as file:
+        assert len(file["time [s]"]) == 1500
+
+
 def test_a_message_that_is_too_large_for_a_cluster_is_counted(tmp_path: Path) -> None:
     kafka = pytest.importorskip("confluent_kafka")
     from loadid._serve.brokers import KafkaOut
@@ -229,6 +245,36 @@ def test_a_topic_that_was_refused_stays_so(tmp_path: Path) -> None:
         feed._granted(None, None, 2, [Reason(False)], None)
         assert set(feed.down()) == {"mast"}
         assert "Not authorized" in feed.down()["mast"]
+
+
+def test_a_port_takes_no_more_listeners_than_it_can_serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loadid._serve.sinks.LISTENERS", 3, raising=False)
+    port, log = free_port(), lines()
+    (tmp_path / "mast.log").write_bytes(b"".join(log))
+    asked = two(tmp_path, ("mast.log", "roof.log"), '"{name}.csv"')
+    text = (tmp_path / "plan.toml").read_text()
+    (tmp_path / "plan.toml").write_text(text.replace(
+        'source = "mast.log"', f'source = "mast.log"\nsinks = ["mast.csv", "tcp://127.0.0.1:{port}"]'))  # fmt: skip
+    asked = plan.read(tmp_path / "plan.toml")
+    with Server(asked) as one:
+        there = [socket.create_connection(("127.0.0.1", port)) for _ in range(8)]
+        rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
+        assert one.lives["mast"].sinks.counts["undelivered"] == 5
+        for made in there:
+            made.close()
+
+
+def test_who_leaves_before_the_answer_leaves_no_traceback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with server(tmp_path, "log.csv") as one, closing(Endpoint(one, 0)) as endpoint:
+        where = endpoint.address.removeprefix("http://").split(":")
+        for _ in range(3):
+            with socket.create_connection((where[0], int(where[1]))) as made:
+                made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+                made.sendall(b"GET /health HTTP/1.0\r\nHost: localhost\r\n\r\n")
+                waited(lambda: one._answers, "the question")
+            one._answer()
+        time.sleep(0.3)
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_what_came_for_a_halted_structure_is_heard(tmp_path: Path) -> None:
