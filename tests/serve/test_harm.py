@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 from contextlib import closing
 from pathlib import Path
@@ -17,6 +18,7 @@ from loadid._serve.live import Live
 from loadid._serve.metrics import Endpoint, health
 from loadid._serve.server import Server
 from loadid._stream.following import Following
+from loadid.cli import main as command
 from structures.errors import InputError
 
 from .broker import Mosquitto, free_port, waited
@@ -245,6 +247,30 @@ def test_a_topic_that_was_refused_stays_so(tmp_path: Path) -> None:
         feed._granted(None, None, 2, [Reason(False)], None)
         assert set(feed.down()) == {"mast"}
         assert "Not authorized" in feed.down()["mast"]
+
+
+def test_a_check_ends_though_the_stream_goes_on(tmp_path: Path) -> None:
+    log = lines()
+    (tmp_path / "log.csv").write_bytes(log[0])
+    with server(tmp_path, "log.csv"):
+        pass
+    over = threading.Event()
+
+    def grow() -> None:
+        with (tmp_path / "log.csv").open("ab") as file:
+            for line in log[1:]:
+                file.write(line)
+                file.flush()
+                if over.wait(0.02):
+                    return
+
+    thread = threading.Thread(target=grow)
+    thread.start()
+    begun = time.monotonic()
+    assert command(["serve", str(tmp_path / "plan.toml"), "--check"]) == 0
+    over.set()
+    thread.join()
+    assert time.monotonic() - begun < 15
 
 
 def test_a_port_takes_no_more_listeners_than_it_can_serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
