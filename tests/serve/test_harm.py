@@ -336,3 +336,27 @@ def test_a_table_that_cannot_be_synced_is_an_error_in_words(tmp_path: Path, monk
             patch.setattr("loadid._stream.output.os.fsync", full)
             with pytest.raises(InputError, match="output cannot be written"):
                 live.checkpoint()
+
+
+def test_a_long_journal_is_tracked_a_piece_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loadid._serve.server.HELD", 20_000, raising=False)
+    log = lines()
+    with Mosquitto(tmp_path) as broker:
+        source = f"mqtt://127.0.0.1:{broker.port}/mast"
+        with server(tmp_path, source) as one:  # killed at its end
+            waited(lambda: not one.feeds["mast"].down(), "the subscription")
+            client = broker.client()
+            for begin in range(0, 1501, 50):
+                client.publish("mast", b"".join(log[begin : begin + 50]), qos=1)
+            rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
+            client.disconnect()
+            client.loop_stop()
+        most, real = [], Live.take
+        monkeypatch.setattr(
+            Live, "take", lambda self, own: (most.append(sum(len(e.data) for e in own)), real(self, own))[1]
+        )
+        with server(tmp_path, source) as one:
+            assert one.lives["mast"].rows == 1500
+    assert len(most) > 3
+    assert max(most) < 30_000
+    assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
