@@ -119,6 +119,10 @@ class Mqtt(_Topics):
             if message.qos and connection == self._connection:  # else its number may be that of another message now
                 self._client.ack(message.mid, message.qos)
 
+    def full(self) -> bool:
+        """Whether half of what a broker sends without a confirmation waits."""
+        return self._queue.qsize() >= RECENT // 2
+
     def down(self) -> dict[str, str]:
         """All of them, where there is no connection; those whose topic is refused."""
         if self._why:

@@ -112,6 +112,8 @@ class Server:
             while not stop.is_set() and (left := start + self.plan.run.latency - time.monotonic()) > 0:
                 if self._wanted.wait(min(left, LOOK)):
                     self._answer()
+                if any(feed.full() for feed in self.feeds.values()):
+                    break
         for live in self.lives.values():
             if live.dirty:
                 live.checkpoint()
