@@ -89,6 +89,7 @@ class Live:
         same = before.get("source") == str(asset.source)
         regular = MESSAGES if asset.source.scheme in BROKERS else REGULAR
         self.follows = Following(tracker, before, asset.unit, same, regular, told=True)
+        self.follows.clock.again = self.follows.resumed and not same
         self.place = before.get("place") if same else None
         self.serial = int(before.get("serial", 0))  # pieces that were taken
         self.reached = self.serial  # of them, those that the checkpoint holds

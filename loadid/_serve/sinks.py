@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from .._stream.output import Output
+from .._stream.output import Output, holds
 from .brokers import PUBLISHERS, Publisher
 from .plan import Address, Asset
 
@@ -231,11 +231,14 @@ class Sinks:
         self.counts: Counter[str] = Counter()
         self._each: dict[str, Sink] = {}
         before = before or {}
+        named = {str(address) for address in asset.sinks}
+        moved = [place for where, place in before.items() if isinstance(place, dict) and where not in named]
         for address in asset.sinks:
             where = str(address)
             path = Path(address.path)
             if address.scheme == "file" and path.suffix == ".csv":
-                self._each[where] = _table(path, head, before.get(where))
+                known = next((place for place in moved if holds(path, place)), None)
+                self._each[where] = _table(path, head, before.get(where, known))
             elif address.scheme == "file":
                 self._each[where] = Parts(path, head, before.get(where))
             elif address.scheme == "tcp":

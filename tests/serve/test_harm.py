@@ -360,3 +360,65 @@ def test_a_long_journal_is_tracked_a_piece_at_a_time(tmp_path: Path, monkeypatch
     assert len(most) > 3
     assert max(most) < 30_000
     assert (tmp_path / "mast.csv").read_bytes() == undisturbed(tmp_path, log)
+
+
+def test_a_pipe_is_no_file_that_grows_and_holds_nobody_up(tmp_path: Path) -> None:
+    asked = two(tmp_path, ("mast.log", "roof.log"))
+    os.mkfifo(tmp_path / "mast.log")
+    (tmp_path / "roof.log").write_bytes(b"".join(lines()))
+    held = threading.Timer(10, lambda: os.close(os.open(tmp_path / "mast.log", os.O_WRONLY | os.O_NONBLOCK)))
+    held.daemon = True
+    held.start()
+    with Server(asked) as one:
+        begun = time.monotonic()
+        rounds(one, lambda: rows(tmp_path, "roof.csv") == 1500, "the rows of the other")
+        held.cancel()
+        assert time.monotonic() - begun < 8
+        assert "no file that grows" in health(one)["disconnected"]["mast"]
+
+
+def test_a_source_of_another_name_may_repeat_itself_and_a_table_that_was_moved_is_known(tmp_path: Path) -> None:
+    log = lines()
+    (tmp_path / "log.csv").write_bytes(b"".join(log[:801]))
+    with server(tmp_path, "log.csv") as one:
+        rounds(one, lambda: rows(tmp_path) == 800, "the rows")
+        one.lives["mast"].checkpoint()
+    (tmp_path / "other.csv").write_bytes(b"".join(log))
+    (tmp_path / "mast.csv").rename(tmp_path / "moved.csv")
+    text = (tmp_path / "plan.toml").read_text().replace('"mast.csv"', '"moved.csv"').replace("log.csv", "other.csv")
+    (tmp_path / "plan.toml").write_text(text)
+    with Server(plan.read(tmp_path / "plan.toml")) as one:
+        rounds(one, lambda: rows(tmp_path, "moved.csv") >= 1500, "the rows")
+        assert one.lives["mast"].follows.counts["again"] == 800
+    assert (tmp_path / "moved.csv").read_bytes() == undisturbed(tmp_path, log)
+
+
+def test_a_port_of_a_name_with_two_addresses_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loadid._serve.inputs.SOONEST", 0.01)
+    real = socket.getaddrinfo
+    monkeypatch.setattr(
+        "loadid._serve.inputs.socket.getaddrinfo",
+        lambda host, port, **own: real("127.0.0.2", port, **own) + real("127.0.0.1", port, **own),
+    )
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        with server(tmp_path, f"tcp://somewhere:{port}") as one:
+            rounds(one, lambda: not one.feeds["mast"].down(), "the connection")
+
+
+def test_more_messages_than_a_broker_sends_at_once_do_not_wait_for_the_latency(tmp_path: Path) -> None:
+    log, stop = lines(), threading.Event()
+    with Mosquitto(tmp_path) as broker, server(tmp_path, f"mqtt://127.0.0.1:{broker.port}/mast", latency=30) as one:
+        waited(lambda: not one.feeds["mast"].down(), "the subscription")
+        thread = threading.Thread(target=one.go, args=(stop,))
+        thread.start()
+        client = broker.client()
+        for line in log:
+            client.publish("mast", line, qos=1)
+        try:
+            waited(lambda: rows(tmp_path) >= 1000, "the rows", 15)
+        finally:
+            stop.set()
+            thread.join()
+            client.disconnect()
+            client.loop_stop()
