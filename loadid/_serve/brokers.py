@@ -23,8 +23,8 @@ from typing import Any
 
 from structures.errors import InputError
 
-from .inputs import Feed, Piece
-from .plan import Address, Asset
+from .inputs import Feed, Received
+from .plan import Address, LiveAsset
 
 RECENT = 1000  # messages by which one that is sent twice is known again
 QUEUED = 10_000  # messages between the network and the tracker: then the network waits
@@ -63,7 +63,7 @@ def key_of(data: bytes, number: object = "") -> str:
 class _Topics(Feed):
     """Structures by the topics of their messages."""
 
-    def __init__(self, assets: Sequence[Asset]) -> None:
+    def __init__(self, assets: Sequence[LiveAsset]) -> None:
         super().__init__()
         self.by_topic: dict[str, list[str]] = defaultdict(list)
         for asset in assets:
@@ -77,12 +77,12 @@ class Mqtt(_Topics):
 
     Parameters
     ----------
-    assets : sequence of Asset
+    assets : sequence of LiveAsset
     client : str
         Name of the session: the same for every run of a plan.
     """
 
-    def __init__(self, assets: Sequence[Asset], client: str) -> None:
+    def __init__(self, assets: Sequence[LiveAsset], client: str) -> None:
         super().__init__(assets)
         self._queue: queue.Queue[Any] = queue.Queue(QUEUED)
         self._stop, self._why = threading.Event(), "not connected yet"
@@ -96,7 +96,7 @@ class Mqtt(_Topics):
         self._wanted = options(qos=1, retainHandling=options.RETAIN_SEND_IF_NEW_SUB)  # not with every connection
         begin(self._client, self.address)
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """Messages that have come."""
         found = []
         for _ in range(QUEUED):
@@ -108,12 +108,12 @@ class Mqtt(_Topics):
             names = self.by_topic.get(message.topic, [])
             if not names:  # of an earlier plan
                 self._client.unsubscribe(message.topic)
-                self.confirm([Piece("", b"", receipt=receipt)])
+                self.confirm([Received("", b"", receipt=receipt)])
             key = key_of(message.payload, message.mid)
-            found += [Piece(name, lines(message.payload), key, bool(message.dup), receipt) for name in names]
+            found += [Received(name, lines(message.payload), key, bool(message.dup), receipt) for name in names]
         return found
 
-    def confirm(self, pieces: Sequence[Piece]) -> None:
+    def confirm(self, pieces: Sequence[Received]) -> None:
         """Their answers are in their tables. What came by an earlier connection comes again, and is confirmed then."""
         for connection, message in {id(piece.receipt): piece.receipt for piece in pieces}.values():
             if message.qos and connection == self._connection:  # else its number may be that of another message now
@@ -202,7 +202,7 @@ def begin(client: Any, address: Address, session: bool = True) -> None:
 class ZeroMq(_Topics):
     """Subscriptions to a publisher."""
 
-    def __init__(self, assets: Sequence[Asset]) -> None:
+    def __init__(self, assets: Sequence[LiveAsset]) -> None:
         super().__init__(assets)
         zmq = self._zmq = required("zmq", self.address)
         self._context = zmq.Context()
@@ -214,7 +214,7 @@ class ZeroMq(_Topics):
             self._socket.subscribe(topic)
         self._socket.connect(f"tcp://{self.address.host}:{self.address.port}")
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """Messages that have come: a topic and lines, or lines alone where there is no topic."""
         found = []
         for _ in range(QUEUED):
@@ -225,7 +225,7 @@ class ZeroMq(_Topics):
             topic = parts[0].decode("utf-8", "replace") if len(parts) > 1 else ""
             names = self.by_topic.get(topic, [])
             self.counts["refused"] += not names
-            found += [Piece(name, lines(parts[-1]), key_of(parts[-1])) for name in names]
+            found += [Received(name, lines(parts[-1]), key_of(parts[-1])) for name in names]
         return found
 
     def down(self) -> dict[str, str]:
@@ -248,7 +248,7 @@ class Kafka(_Topics):
 
     Parameters
     ----------
-    assets : sequence of Asset
+    assets : sequence of LiveAsset
     places : dict of str to mapping of str to int
         Name of a structure -> the next offset of each partition of its topic.
     client : str
@@ -257,7 +257,7 @@ class Kafka(_Topics):
 
     lasting = True
 
-    def __init__(self, assets: Sequence[Asset], places: dict[str, Any], client: str) -> None:
+    def __init__(self, assets: Sequence[LiveAsset], places: dict[str, Any], client: str) -> None:
         super().__init__(assets)
         self._kafka = required("confluent_kafka", self.address)
         self._why, self._next, self._begun = "not connected yet", 0.0, False
@@ -271,7 +271,7 @@ class Kafka(_Topics):
             "log_level": 0,
         })  # fmt: skip
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """Messages that have come, each to those of its structures that do not have it yet."""
         if not self._begun and not self._assigned():
             return []
@@ -286,7 +286,7 @@ class Kafka(_Topics):
                 if offset >= self._at[name].get(partition, 0):
                     self._at[name][partition] = offset + 1
                     data = message.value() or b""
-                    found.append(Piece(name, lines(data), key_of(data)))
+                    found.append(Received(name, lines(data), key_of(data)))
         return found
 
     def place(self, name: str, unread: int) -> Any:

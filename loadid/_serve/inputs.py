@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from structures.errors import InputError
 
 from .._stream.sources import GrowingFile
-from .plan import Address, Asset
+from .plan import Address, LiveAsset
 
 PIECE = 1 << 16  # bytes read at once
 MOST = 1 << 20  # bytes of one source in one round: the others have their turn
@@ -26,7 +26,7 @@ PATIENCE = 10.0  # s for a connection to be made
 log = logging.getLogger(__name__)
 
 
-class Piece(NamedTuple):
+class Received(NamedTuple):
     """Bytes that came for a structure.
 
     Parameters
@@ -68,11 +68,11 @@ class Feed:
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """What has come; does not wait."""
         raise NotImplementedError
 
-    def confirm(self, pieces: Sequence[Piece]) -> None:
+    def confirm(self, pieces: Sequence[Received]) -> None:
         """These were answered, and the answers are in their tables."""
 
     def full(self) -> bool:
@@ -98,7 +98,7 @@ class Files(Feed):
 
     lasting = True
 
-    def __init__(self, assets: Sequence[Asset], places: dict[str, Any]) -> None:
+    def __init__(self, assets: Sequence[LiveAsset], places: dict[str, Any]) -> None:
         super().__init__()
         self._paths = {asset.name: Path(asset.source.path) for asset in assets}
         self._places = dict(places)
@@ -107,7 +107,7 @@ class Files(Feed):
         self._down: dict[str, str] = {}
         self._next = 0.0
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """What has come in each file."""
         self._opened()
         found = []
@@ -115,7 +115,7 @@ class Files(Feed):
             left = MOST
             try:
                 while left > 0 and (data := file.read(0.0)):
-                    found.append(Piece(name, data, fresh=self._fresh.pop(name, False)))
+                    found.append(Received(name, data, fresh=self._fresh.pop(name, False)))
                     left -= len(data)
                 self._down.pop(name, None)
             except OSError as error:  # it is tried again in the next round
@@ -176,12 +176,12 @@ class _Line:
 class Sockets(Feed):
     """Connections to ``tcp://HOST:PORT``, made again where they break."""
 
-    def __init__(self, assets: Sequence[Asset]) -> None:
+    def __init__(self, assets: Sequence[LiveAsset]) -> None:
         super().__init__()
         self._lines = {asset.name: _Line(asset.name, asset.source) for asset in assets}
         self._ready = selectors.DefaultSelector()
 
-    def take(self) -> list[Piece]:
+    def take(self) -> list[Received]:
         """What has come on all connections."""
         now, found = time.monotonic(), []
         for line in self._lines.values():
@@ -196,7 +196,7 @@ class Sockets(Feed):
                 continue
             data = self._received(line)
             if data:
-                found.append(Piece(line.name, data, fresh=line.fresh))
+                found.append(Received(line.name, data, fresh=line.fresh))
                 line.fresh = False
         return found
 

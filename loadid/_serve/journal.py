@@ -28,7 +28,7 @@ SPARSE = 0.5  # share of a segment that is needed, below which the rest is dropp
 log = logging.getLogger(__name__)
 
 
-class Entry(NamedTuple):
+class JournalEntry(NamedTuple):
     """Bytes that came for a structure.
 
     Parameters
@@ -74,7 +74,7 @@ class Journal:
         self._number = max(paths, default=0)
         self._begin()
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[JournalEntry]:
         """Everything, in the order in which it came."""
         for path in [*self.last, self._path]:
             yield from _frames(path)
@@ -84,7 +84,7 @@ class Journal:
         """Bytes of all segments."""
         return sum(path.stat().st_size for path in self.last) + self._size
 
-    def append(self, entries: Sequence[Entry]) -> None:
+    def append(self, entries: Sequence[JournalEntry]) -> None:
         """Put entries on the disk; they are there when this returns.
 
         Raises
@@ -149,13 +149,13 @@ class Journal:
                              found=error.strerror or str(error), hint="check the folder states") from None  # fmt: skip
 
 
-def _framed(entry: Entry) -> bytes:
+def _framed(entry: JournalEntry) -> bytes:
     head = json.dumps([entry.to, entry.serial, entry.key, entry.fresh]).encode() + b"\n"
     body = head + entry.data
     return FRAME.pack(len(body), zlib.crc32(body)) + body
 
 
-def _frames(path: Path) -> Iterator[Entry]:
+def _frames(path: Path) -> Iterator[JournalEntry]:
     """Entries of a segment; the last one may be torn."""
     data, at = path.read_bytes(), 0
     while at < len(data):
@@ -171,9 +171,9 @@ def _frames(path: Path) -> Iterator[Entry]:
                              hint="put a copy back, or move the file away: what it holds is lost")  # fmt: skip
         head, _, rest = body.partition(b"\n")
         to, serial, key, fresh = json.loads(head)
-        yield Entry(to, serial, key, rest, fresh)
+        yield JournalEntry(to, serial, key, rest, fresh)
         at = end
 
 
-def _lasts(entries: Iterator[Entry] | Sequence[Entry]) -> dict[str, int]:
+def _lasts(entries: Iterator[JournalEntry] | Sequence[JournalEntry]) -> dict[str, int]:
     return {entry.to: entry.serial for entry in entries}

@@ -20,9 +20,9 @@ from .._stream.clock import REGULAR
 from .._stream.following import Following
 from .._stream.output import swept
 from .brokers import RECENT
-from .inputs import Feed, Piece
-from .journal import Entry
-from .plan import BROKERS, Asset
+from .inputs import Feed, Received
+from .journal import JournalEntry
+from .plan import BROKERS, LiveAsset
 from .sinks import Sinks
 
 MESSAGES = 1000  # late rows in a row that show a clock that was put back: fewer are messages out of order
@@ -55,7 +55,7 @@ class Live:
 
     Parameters
     ----------
-    asset : Asset
+    asset : LiveAsset
     state : Path
         File of its checkpoints.
     sinks : callable
@@ -76,7 +76,7 @@ class Live:
     """
 
     def __init__(
-        self, asset: Asset, state: Path, sinks: Callable[[Asset, Sequence[str], dict[str, Any] | None], Sinks]
+        self, asset: LiveAsset, state: Path, sinks: Callable[[LiveAsset, Sequence[str], dict[str, Any] | None], Sinks]
     ) -> None:
         self.asset, self._state = asset, state
         there = state.exists()
@@ -108,7 +108,7 @@ class Live:
                 self.sinks.close()
                 raise
 
-    def knows(self, piece: Piece) -> bool:
+    def knows(self, piece: Received) -> bool:
         """Whether a message is sent again that was taken before.
 
         Its broker says so, or it holds the same rows with the same time stamps.
@@ -119,14 +119,14 @@ class Live:
             return False
         return self._recent.has(piece.key, numbered=not stamped)
 
-    def entry(self, piece: Piece) -> Entry:
+    def entry(self, piece: Received) -> JournalEntry:
         """A piece as it goes into the journal; it is numbered by this."""
-        found = Entry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
+        found = JournalEntry(piece.to, self.serial, piece.key, piece.data, piece.fresh)
         self.serial += 1
         self._recent.add([found.key] if found.key else [])  # the same may come once more in this round
         return found
 
-    def take(self, entries: Sequence[Entry]) -> int:
+    def take(self, entries: Sequence[JournalEntry]) -> int:
         """Track what has come; how many samples it was. A stream that cannot be read halts the structure alone.
 
         Raises
@@ -189,7 +189,7 @@ class Live:
         if self.feed is not None:
             self.feed.saved(self.asset.name, place)
 
-    def _read(self, entries: Sequence[Entry]) -> int:
+    def _read(self, entries: Sequence[JournalEntry]) -> int:
         data = b"".join(entry.data for entry in entries)
         if self.halted or not data:
             return 0

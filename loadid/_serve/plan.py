@@ -59,7 +59,7 @@ class Address:
 
 
 @dataclass(frozen=True)
-class RunSettings:
+class ServeSettings:
     """How the server goes.
 
     Parameters
@@ -78,7 +78,7 @@ class RunSettings:
 
 
 @dataclass(frozen=True)
-class Asset:
+class LiveAsset:
     """One structure.
 
     Parameters
@@ -101,28 +101,28 @@ class Asset:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ServePlan:
     """What a plan file asks for.
 
     Parameters
     ----------
     path, states : Path
         The file, and the folder of checkpoints and journal.
-    assets : tuple of Asset
-    run : RunSettings
+    assets : tuple of LiveAsset
+    run : ServeSettings
     """
 
     path: Path
     states: Path
-    assets: tuple[Asset, ...]
-    run: RunSettings
+    assets: tuple[LiveAsset, ...]
+    run: ServeSettings
 
-    def state(self, asset: Asset) -> Path:
+    def state(self, asset: LiveAsset) -> Path:
         """File of the checkpoints of a structure."""
         return self.states / f"{asset.name}.h5"
 
 
-def read(path: str | os.PathLike[str]) -> Plan:
+def read(path: str | os.PathLike[str]) -> ServePlan:
     """The plan of a file.
 
     Parameters
@@ -137,19 +137,19 @@ def read(path: str | os.PathLike[str]) -> Plan:
         two assets of one name, two that write to one place.
     """
     file, tree = Path(path), _toml.read(path)
-    said = Said(str(path), NAMES)
+    said = ServePlanReader(str(path), NAMES)
     said.known(tree, "plan", str(path))
     states = file.parent / said.text(tree, "states", str(path))
     listed = said.assets(tree, "name, model, source and sinks")
     assets = tuple(said.asset(one, file.parent) for one in listed)
     said.apart(assets)
-    return Plan(file, states, assets, said.running(said.table(tree, "run")))
+    return ServePlan(file, states, assets, said.running(said.table(tree, "run")))
 
 
-class Said(_toml.Said):
+class ServePlanReader(_toml.PlanReader):
     """The values of a plan, checked one by one."""
 
-    def asset(self, tree: dict[str, Any], folder: Path) -> Asset:
+    def asset(self, tree: dict[str, Any], folder: Path) -> LiveAsset:
         """One asset."""
         name = tree["name"]
         place = f"[[asset]] {name}"
@@ -172,7 +172,7 @@ class Said(_toml.Said):
         for channel, symbol in unit.items():
             if not isinstance(symbol, str):
                 self.refused(f"{place}, unit, {channel}", symbol, "a unit such as 'g'")
-        return Asset(name, self.file(tree, "model", place, folder), source, found, unit)
+        return LiveAsset(name, self.file(tree, "model", place, folder), source, found, unit)
 
     def address(self, text: str, place: str, folder: Path) -> Address:
         """A path, which counts from the plan, or the address of a socket or a broker."""
@@ -197,7 +197,7 @@ class Said(_toml.Said):
         password = unquote(parts.password or "") or (os.environ.get(SECRET, "") if user else "")
         return Address(scheme, topic, host, port, user, password)
 
-    def apart(self, assets: tuple[Asset, ...]) -> None:
+    def apart(self, assets: tuple[LiveAsset, ...]) -> None:
         """Nothing, if no two sinks are one place and none is a source."""
         read = {str(asset.source): asset.name for asset in assets}
         written: dict[str, str] = {}
@@ -210,7 +210,7 @@ class Said(_toml.Said):
                                      expected="a place for each", hint="put {name} into it")  # fmt: skip
                 written[sink] = asset.name
 
-    def running(self, given: dict[str, Any]) -> RunSettings:
+    def running(self, given: dict[str, Any]) -> ServeSettings:
         """How the server goes."""
         self.known(given, "run", "[run]")
         for name, most in (("latency", 60.0), ("checkpoint", 3600.0)):
@@ -219,7 +219,7 @@ class Said(_toml.Said):
         http = given.get("http")
         if http is not None and not (type(http) is int and 0 <= http < 65536):
             self.refused("[run], http", http, "a port of this machine below 65536, 0 for any that is free")
-        return RunSettings(**given)
+        return ServeSettings(**given)
 
 
 def _bare(text: str) -> str:

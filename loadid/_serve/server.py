@@ -17,10 +17,10 @@ from structures.errors import InputError
 
 from .._stream.output import StateLock
 from .brokers import Kafka, Mqtt, Publisher, ZeroMq
-from .inputs import Feed, Files, Piece, Sockets
-from .journal import Entry, Journal
+from .inputs import Feed, Files, Received, Sockets
+from .journal import Journal, JournalEntry
 from .live import Live
-from .plan import Address, Asset, Plan
+from .plan import Address, LiveAsset, ServePlan
 from .sinks import Sinks
 
 LOOK = 0.1  # s between two looks whether to stop
@@ -35,7 +35,7 @@ class Server:
 
     Parameters
     ----------
-    plan : Plan
+    plan : ServePlan
     progress : callable, optional
         ``progress(share, text)`` while trackers are read and the journal is tracked again.
 
@@ -53,7 +53,7 @@ class Server:
         written, a client library that is not installed, a damaged journal.
     """
 
-    def __init__(self, plan: Plan, progress: Callable[[float, str], None] | None = None) -> None:
+    def __init__(self, plan: ServePlan, progress: Callable[[float, str], None] | None = None) -> None:
         self.plan, told = plan, progress or (lambda share, text: None)
         self.counts: Counter[str] = Counter()
         self.rounds, self.busy, self.begun = 0, 0.0, time.monotonic()
@@ -142,9 +142,11 @@ class Server:
         return found[0] if done.wait(patience) and found else None
 
     # -- inside -----------------------------------------------------------------------------------------------------
-    def _numbered(self, taken: Sequence[tuple[Feed, list[Piece]]]) -> tuple[dict[str, list[Entry]], list[Entry]]:
+    def _numbered(
+        self, taken: Sequence[tuple[Feed, list[Received]]]
+    ) -> tuple[dict[str, list[JournalEntry]], list[JournalEntry]]:
         """What is new of pieces, by structure, and what of it goes into the journal."""
-        entries: dict[str, list[Entry]] = {}
+        entries: dict[str, list[JournalEntry]] = {}
         kept = []
         for feed, pieces in taken:
             self.counts["messages"] += len(pieces)
@@ -161,7 +163,7 @@ class Server:
 
     def _again(self, told: Callable[[float, str], None]) -> None:
         """Track what the journal holds and the checkpoints do not."""
-        waiting: dict[str, list[Entry]] = {}
+        waiting: dict[str, list[JournalEntry]] = {}
         held = passed = 0
         for entry in self.journal.entries():
             live = self.lives.get(entry.to)
@@ -176,7 +178,7 @@ class Server:
                 waiting, held = {}, 0
         self._taken(waiting)
 
-    def _taken(self, entries: dict[str, list[Entry]]) -> None:
+    def _taken(self, entries: dict[str, list[JournalEntry]]) -> None:
         for name, own in entries.items():
             self.lives[name].take(own)
 
@@ -206,7 +208,7 @@ class Server:
                 found.append(question(self))
             done.set()
 
-    def _sinks(self, asset: Asset, head: Sequence[str], before: dict[str, Any] | None) -> Sinks:
+    def _sinks(self, asset: LiveAsset, head: Sequence[str], before: dict[str, Any] | None) -> Sinks:
         return Sinks(asset, head, before, self._publishers)
 
     def _published(self) -> None:
@@ -219,9 +221,9 @@ class Server:
         return self._publishers.values()
 
 
-def _feeds(plan: Plan, lives: dict[str, Live]) -> list[tuple[Feed, list[str]]]:
+def _feeds(plan: ServePlan, lives: dict[str, Live]) -> list[tuple[Feed, list[str]]]:
     """Sources of a plan, those of one kind and broker together, and whose they are."""
-    groups: dict[Any, list[Asset]] = {}
+    groups: dict[Any, list[LiveAsset]] = {}
     for asset in plan.assets:
         source = asset.source
         groups.setdefault(source.scheme if source.scheme in ("file", "tcp") else source.broker, []).append(asset)
@@ -236,7 +238,7 @@ def _feeds(plan: Plan, lives: dict[str, Live]) -> list[tuple[Feed, list[str]]]:
     return made
 
 
-def _feed(plan: Plan, assets: list[Asset], lives: dict[str, Live]) -> Feed:
+def _feed(plan: ServePlan, assets: list[LiveAsset], lives: dict[str, Live]) -> Feed:
     source: Address = assets[0].source
     places = {asset.name: lives[asset.name].place for asset in assets}
     if source.scheme == "file":
@@ -250,7 +252,7 @@ def _feed(plan: Plan, assets: list[Asset], lives: dict[str, Live]) -> Feed:
     return Mqtt(assets, session(plan))
 
 
-def session(plan: Plan) -> str:
+def session(plan: ServePlan) -> str:
     """Name by which brokers know the server of a plan again."""
     digest = hashlib.sha256(f"{socket.gethostname()}:{plan.states.resolve()}".encode()).hexdigest()
     return f"loadid-{digest[:16]}"

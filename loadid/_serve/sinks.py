@@ -23,7 +23,7 @@ from structures.files import _storage as storage
 
 from .._stream.output import Output, holds
 from .brokers import PUBLISHERS, Publisher
-from .plan import Address, Asset
+from .plan import Address, LiveAsset
 
 KIND = "tracked loads"
 LISTENERS = 32  # of one structure
@@ -47,7 +47,7 @@ class Sink(Protocol):
         """Let go of it."""
 
 
-class Parts:
+class PartFiles:
     """A folder of files, each with the rows between two checkpoints.
 
     Parameters
@@ -215,7 +215,7 @@ class Sinks:
 
     Parameters
     ----------
-    asset : Asset
+    asset : LiveAsset
     head : sequence of str
         Names of the columns.
     before : mapping, optional
@@ -225,7 +225,7 @@ class Sinks:
     """
 
     def __init__(
-        self, asset: Asset, head: Sequence[str], before: Mapping[str, Any] | None,
+        self, asset: LiveAsset, head: Sequence[str], before: Mapping[str, Any] | None,
         publishers: dict[tuple[str, str, int, str], Publisher],
     ) -> None:  # fmt: skip
         self.counts: Counter[str] = Counter()
@@ -240,7 +240,7 @@ class Sinks:
                 known = next((place for place in moved if holds(path, place)), None)
                 self._each[where] = _table(path, head, before.get(where, known))
             elif address.scheme == "file":
-                self._each[where] = Parts(path, head, before.get(where))
+                self._each[where] = PartFiles(path, head, before.get(where))
             elif address.scheme == "tcp":
                 self._each[where] = Listeners(address, head, self.counts)
             else:

@@ -25,7 +25,7 @@ from .broker import Mosquitto, free_port, waited
 from .served import fitted, lines, rounds, rows, server, undisturbed
 
 
-def two(folder: Path, sources: tuple[str, str], sinks: str = '"{name}.csv"') -> plan.Plan:
+def two(folder: Path, sources: tuple[str, str], sinks: str = '"{name}.csv"') -> plan.ServePlan:
     """A plan of two structures, ``mast`` and ``roof``."""
     fitted()[0].save(folder / "model.h5")
     (folder / "plan.toml").write_text(

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from loadid._serve import journal as journals
-from loadid._serve.journal import Entry, Journal
+from loadid._serve.journal import Journal, JournalEntry
 from structures.errors import InputError
 
 
-def some(count: int, seed: int = 0) -> list[Entry]:
+def some(count: int, seed: int = 0) -> list[JournalEntry]:
     """Entries of two structures, of any bytes."""
     rng = np.random.default_rng(seed)
     serial = {"a": 0, "b": 0}
@@ -20,12 +20,12 @@ def some(count: int, seed: int = 0) -> list[Entry]:
     for _ in range(count):
         name = "ab"[int(rng.integers(2))]
         data = rng.integers(0, 256, int(rng.integers(0, 60))).astype(np.uint8).tobytes()
-        found.append(Entry(name, serial[name], f"{serial[name]}:ü", data, bool(rng.integers(2))))
+        found.append(JournalEntry(name, serial[name], f"{serial[name]}:ü", data, bool(rng.integers(2))))
         serial[name] += 1
     return found
 
 
-def reopened(folder: Path) -> list[Entry]:
+def reopened(folder: Path) -> list[JournalEntry]:
     found = Journal(folder)
     entries = list(found.entries())
     found.close()
@@ -94,8 +94,8 @@ def test_segments_that_all_have_left_behind_are_dropped(tmp_path: Path, monkeypa
 
 def test_of_a_halted_structure_alone_its_entries_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journals, "SEGMENT", 2000)
-    halted = [Entry("a", k, "", b"x" * 10) for k in range(40)]
-    others = [Entry("b", k, "", b"y" * 100) for k in range(40)]
+    halted = [JournalEntry("a", k, "", b"x" * 10) for k in range(40)]
+    others = [JournalEntry("b", k, "", b"y" * 100) for k in range(40)]
     journal = Journal(tmp_path)
     for one, other in zip(halted, others, strict=True):
         journal.append([one, other])
@@ -139,7 +139,7 @@ def test_what_only_a_halted_structure_needs_is_not_read_again_and_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = Journal(tmp_path)
-    journal.append([Entry("a", k, "", b"x" * 100) for k in range(9)] + [Entry("b", 0, "", b"y")])
+    journal.append([JournalEntry("a", k, "", b"x" * 100) for k in range(9)] + [JournalEntry("b", 0, "", b"y")])
     journal.turn()
     read: list[Path] = []
     real = journals._frames
