@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from contextlib import closing, nullcontext
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ examples:
 
 docs/serve.md says what a plan holds, and what each kind of source promises when the process is killed.
 """
+CHECK = 3.0  # s that sources have to be there
 SHOWN = 8  # structures that are halted or without a source, in words
 
 
@@ -44,7 +46,11 @@ def _run(args: Namespace) -> int:
             if not args.json:
                 where = "" if endpoint is None else f"; {endpoint.address}/metrics and /health"
                 print(f"{len(server.lives)} structures{where}", flush=True)
-            server.go(stop, 3.0 if args.check else args.idle)
+            if args.check:
+                over = threading.Timer(CHECK, stop.set)
+                over.daemon = True
+                over.start()
+            server.go(stop, args.idle)
         state = health(server)
         emit(args, {**state, **_told(server)}, _said(server, state))
     return 0 if not state["halted"] and (state["status"] == "ok" or not args.check) else 3

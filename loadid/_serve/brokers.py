@@ -26,6 +26,7 @@ from structures.errors import InputError
 from .inputs import Feed, Received
 from .plan import Address, LiveAsset
 
+RECENT = 1000  # messages by which one that is sent twice is known again
 QUEUED = 10_000  # messages between the network and the tracker: then the network waits
 KEPT = 86_400 * 30  # s for which a broker keeps the session of a server that is away
 WAIT = 5.0  # s for messages to leave at the end
@@ -89,6 +90,10 @@ class Mqtt(_Topics):
         self._client.on_connect, self._client.on_disconnect = self._came, self._went
         self._client.on_message, self._client.on_subscribe = self._heard, self._granted
         self._asked: dict[int, str] = {}  # topics that are subscribed to, until the broker has answered
+        self._refused: dict[str, str] = {}
+        self._connection = 0  # number of the present one
+        options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
+        self._wanted = options(qos=1, retainHandling=options.RETAIN_SEND_IF_NEW_SUB)  # not with every connection
         begin(self._client, self.address)
 
     def take(self) -> list[Received]:
@@ -96,26 +101,34 @@ class Mqtt(_Topics):
         found = []
         for _ in range(QUEUED):
             try:
-                message = self._queue.get_nowait()
+                receipt = self._queue.get_nowait()
             except queue.Empty:
                 break
+            message = receipt[1]
             names = self.by_topic.get(message.topic, [])
             if not names:  # of an earlier plan
                 self._client.unsubscribe(message.topic)
-                self.confirm([Received("", b"", receipt=message)])
+                self.confirm([Received("", b"", receipt=receipt)])
             key = key_of(message.payload, message.mid)
-            found += [Received(name, lines(message.payload), key, bool(message.dup), message) for name in names]
+            found += [Received(name, lines(message.payload), key, bool(message.dup), receipt) for name in names]
         return found
 
     def confirm(self, pieces: Sequence[Received]) -> None:
-        """Their answers are in their tables."""
-        for message in {id(piece.receipt): piece.receipt for piece in pieces}.values():
-            if message.qos:
+        """Their answers are in their tables. What came by an earlier connection comes again, and is confirmed then."""
+        for connection, message in {id(piece.receipt): piece.receipt for piece in pieces}.values():
+            if message.qos and connection == self._connection:  # else its number may be that of another message now
                 self._client.ack(message.mid, message.qos)
 
+    def full(self) -> bool:
+        """Whether half of what a broker sends without a confirmation waits."""
+        return self._queue.qsize() >= RECENT // 2
+
     def down(self) -> dict[str, str]:
-        """All of them, where there is no connection."""
-        return dict.fromkeys(self.names, f"{self._why}: {self.address}") if self._why else {}
+        """All of them, where there is no connection; those whose topic is refused."""
+        if self._why:
+            return dict.fromkeys(self.names, f"{self._why}: {self.address}")
+        return {name: f"topic {topic} refused: {why}: {self.address}"
+                for topic, why in list(self._refused.items()) for name in self.by_topic[topic]}  # fmt: skip
 
     def close(self) -> None:
         """Leave; the broker keeps what comes."""
@@ -127,13 +140,15 @@ class Mqtt(_Topics):
         if reason.is_failure:
             self._why = str(reason)
             return
-        self._asked = {client.subscribe(topic, qos=1)[1]: topic for topic in self.by_topic}
+        self._connection += 1
+        self._refused = {}
+        self._asked = {client.subscribe(topic, options=self._wanted)[1]: topic for topic in self.by_topic}
 
     def _granted(self, client: Any, data: Any, number: int, reasons: Any, properties: Any) -> None:
         topic = self._asked.pop(number, "")
         if any(reason.is_failure for reason in reasons):
-            self._why = f"topic {topic} refused: {reasons[0]}"
-        elif not self._asked:
+            self._refused[topic] = str(reasons[0])
+        if not self._asked:
             self._why = ""
 
     def _went(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -145,7 +160,7 @@ class Mqtt(_Topics):
     def _heard(self, client: Any, data: Any, message: Any) -> None:
         while not self._stop.is_set():
             try:
-                self._queue.put(message, timeout=0.1)
+                self._queue.put((self._connection, message), timeout=0.1)
                 return
             except queue.Full:
                 self.counts["waited"] += 1
@@ -179,7 +194,7 @@ def begin(client: Any, address: Address, session: bool = True) -> None:
 
     wanted = Properties(PacketTypes.CONNECT)
     wanted.SessionExpiryInterval = KEPT if session else 0
-    wanted.ReceiveMaximum = 65535
+    wanted.ReceiveMaximum = RECENT  # what is not confirmed yet is known again when it comes twice
     client.connect_async(address.host, address.port, keepalive=30, clean_start=not session, properties=wanted)
     client.loop_start()
 
@@ -247,6 +262,8 @@ class Kafka(_Topics):
         self._kafka = required("confluent_kafka", self.address)
         self._why, self._next, self._begun = "not connected yet", 0.0, False
         self._at: dict[str, dict[str, int]] = {n: dict(places.get(n) or {}) for n in self.names}
+        self._looking: threading.Thread | None = None
+        self._known: Any = None
         self._saved = {name: dict(place) for name, place in self._at.items()}
         self._consumer = self._kafka.Consumer({
             "bootstrap.servers": f"{self.address.host}:{self.address.port}", "group.id": client,
@@ -292,17 +309,22 @@ class Kafka(_Topics):
 
     def close(self) -> None:
         """Leave."""
+        if self._looking is not None:
+            self._looking.join()
         self._consumer.close()
 
     def _assigned(self) -> bool:
         """Ask for partitions once there is somebody who knows them."""
         if time.monotonic() < self._next:
             return False
-        self._next = time.monotonic() + 1.0
-        try:
-            known = self._consumer.list_topics(timeout=2.0).topics
-        except self._kafka.KafkaException as error:
-            self._why = str(error.args[0])
+        if self._looking is None:
+            self._looking = threading.Thread(target=self._look, name="topics", daemon=True)
+            self._looking.start()
+        self._looking.join(0.01)
+        if self._looking.is_alive():
+            return False
+        self._looking, self._next, known = None, time.monotonic() + 1.0, self._known
+        if known is None:
             return False
         missing = [topic for topic in self.by_topic if topic not in known or not known[topic].partitions]
         if missing:
@@ -315,6 +337,13 @@ class Kafka(_Topics):
         ])  # fmt: skip
         self._begun, self._why = True, ""
         return True
+
+    def _look(self) -> None:
+        """Topics of the cluster: asked in a thread, as a cluster that is not there keeps who asks waiting."""
+        try:
+            self._known = self._consumer.list_topics(timeout=2.0).topics
+        except self._kafka.KafkaException as error:
+            self._known, self._why = None, str(error.args[0])
 
     def _failed(self, error: Any) -> None:
         self._why = str(error)
@@ -396,6 +425,7 @@ class KafkaOut(Publisher):
     def __init__(self, address: Address) -> None:
         super().__init__(address)
         kafka = required("confluent_kafka", address)
+        self._refused = kafka.KafkaException  # too large, say
         self._producer = kafka.Producer({
             "bootstrap.servers": f"{address.host}:{address.port}", "enable.idempotence": True, "log_level": 0,
         })  # fmt: skip
@@ -404,7 +434,7 @@ class KafkaOut(Publisher):
         """One message."""
         try:
             self._producer.produce(topic, data, on_delivery=self._arrived)
-        except BufferError:
+        except (BufferError, self._refused):
             self.counts["undelivered"] += 1
         self._producer.poll(0)
 

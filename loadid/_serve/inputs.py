@@ -75,6 +75,10 @@ class Feed:
     def confirm(self, pieces: Sequence[Received]) -> None:
         """These were answered, and the answers are in their tables."""
 
+    def full(self) -> bool:
+        """Whether more comes only after some is taken and confirmed."""
+        return False
+
     def place(self, name: str, unread: int) -> Any:
         """Where the source of a structure stands, less the bytes that were not used; None where that means nothing."""
 
@@ -109,18 +113,25 @@ class Files(Feed):
         found = []
         for name, file in self._open.items():
             left = MOST
-            while left > 0 and (data := file.read(0.0)):
-                found.append(Received(name, data, fresh=self._fresh.pop(name, False)))
-                left -= len(data)
+            try:
+                while left > 0 and (data := file.read(0.0)):
+                    found.append(Received(name, data, fresh=self._fresh.pop(name, False)))
+                    left -= len(data)
+                self._down.pop(name, None)
+            except OSError as error:  # it is tried again in the next round
+                self._down[name] = f"{error.strerror or error}: {self._paths[name]}"
         return found
 
     def place(self, name: str, unread: int) -> Any:
-        """As `GrowingFile.place`."""
-        return self._open[name].place(unread) if name in self._open else self._places.get(name)
+        """As `GrowingFile.place`; what is left of a line is none of a new file of which nothing has come yet."""
+        if name not in self._open:
+            return self._places.get(name)
+        return self._open[name].place(0 if self._fresh.get(name) else unread)
 
     def down(self) -> dict[str, str]:
         """Files that are not there."""
-        return dict(self._down)
+        gone = [name for name in self._open if not self._paths[name].exists()]
+        return {name: f"no such file any more: {self._paths[name]}" for name in gone} | self._down
 
     def close(self) -> None:
         """Close the files."""
@@ -133,6 +144,9 @@ class Files(Feed):
         self._next = time.monotonic() + SOONEST
         for name, path in self._paths.items():
             if name in self._open:
+                continue
+            if path.exists() and not path.is_file():  # to open a pipe waits for its sender
+                self._down[name] = f"no file that grows: {path}"
                 continue
             try:
                 self._open[name] = GrowingFile(path, self._places.get(name), lambda n=name: self._turned(n))  # type: ignore[misc]
@@ -155,6 +169,7 @@ class _Line:
     fresh: bool = True
     since: float = 0.0
     wait: float = 0.0
+    tries: int = 0
     why: str = "not connected yet"
 
 
@@ -198,9 +213,9 @@ class Sockets(Feed):
 
     def _call(self, line: _Line, now: float) -> None:
         try:
-            family, kind, protocol, _, where = socket.getaddrinfo(
-                line.address.host, line.address.port, type=socket.SOCK_STREAM
-            )[0]
+            found = socket.getaddrinfo(line.address.host, line.address.port, type=socket.SOCK_STREAM)
+            family, kind, protocol, _, where = found[line.tries % len(found)]  # a name may have several
+            line.tries += 1
             line.socket, line.since = socket.socket(family, kind, protocol), now
             line.socket.setblocking(False)
             code = line.socket.connect_ex(where)
@@ -219,6 +234,7 @@ class Sockets(Feed):
             self._lose(line, errno.errorcode.get(code, str(code)))
             return
         line.made, line.fresh, line.wait, line.why = True, True, 0.0, ""
+        line.tries -= 1  # this one again
         self._ready.modify(line.socket, selectors.EVENT_READ, line)
 
     def _received(self, line: _Line) -> bytes:

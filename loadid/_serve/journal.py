@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from structures.errors import InputError
 from structures.files import _storage as storage
 
 FRAME = struct.Struct("<II")  # length and CRC of what follows
+SEGMENTS = re.compile(r"journal-(\d{8,})\.bin")
 SEGMENT = 16 << 20  # bytes, from which a new one is begun
 SPARSE = 0.5  # share of a segment that is needed, below which the rest is dropped
 log = logging.getLogger(__name__)
@@ -65,10 +67,11 @@ class Journal:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.last: dict[Path, dict[str, int]] = {}  # of each closed segment, the last serial of each structure
-        paths = sorted(folder.glob("journal-*.bin"))
-        for path in paths:
+        listed = [(SEGMENTS.fullmatch(path.name), path) for path in folder.glob("journal-*.bin")]
+        paths = {int(found[1]): path for found, path in listed if found is not None}
+        for _, path in sorted(paths.items()):
             self.last[path] = _lasts(_frames(path))
-        self._number = int(paths[-1].stem.partition("-")[2]) if paths else 0
+        self._number = max(paths, default=0)
         self._begin()
 
     def entries(self) -> Iterator[JournalEntry]:
@@ -108,7 +111,9 @@ class Journal:
             self.turn()
 
     def turn(self) -> None:
-        """Begin a new segment."""
+        """Begin a new segment, where this one has anything."""
+        if not self._size:
+            return
         self._file.close()
         self.last[self._path] = self._open
         self._begin()
@@ -125,7 +130,7 @@ class Journal:
                 data = b"".join(map(_framed, kept))
                 if len(data) < SPARSE * path.stat().st_size:
                     storage.replace(path, data)
-                    self.last[path] = _lasts(kept)
+                self.last[path] = {name: last[name] for name in needed}  # not read again before one of these is done
 
     def close(self) -> None:
         """Close it; a segment without a frame is removed."""

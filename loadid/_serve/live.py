@@ -18,12 +18,13 @@ from structures.errors import InputError
 from .._families.tracking import tracker as checkpoint
 from .._stream.clock import REGULAR
 from .._stream.following import Following
+from .._stream.output import swept
+from .brokers import RECENT
 from .inputs import Feed, Received
 from .journal import JournalEntry
 from .plan import BROKERS, LiveAsset
 from .sinks import Sinks
 
-RECENT = 1000  # messages by which one that is sent twice is known again
 MESSAGES = 1000  # late rows in a row that show a clock that was put back: fewer are messages out of order
 ROW = tuple(b"%c" % c for c in b"+-.0123456789")  # how a message without a line of names begins
 Array = NDArray[np.float64]
@@ -88,18 +89,24 @@ class Live:
         same = before.get("source") == str(asset.source)
         regular = MESSAGES if asset.source.scheme in BROKERS else REGULAR
         self.follows = Following(tracker, before, asset.unit, same, regular, told=True)
+        self.follows.clock.again = self.follows.resumed and not same
         self.place = before.get("place") if same else None
         self.serial = int(before.get("serial", 0))  # pieces that were taken
         self.reached = self.serial  # of them, those that the checkpoint holds
         self._recent = _Recent(before.get("recent", []))
-        if (rest := before.get("rest")) is not None:
+        if same and (rest := before.get("rest")) is not None:
             self.follows.lines.rest = bytes(np.asarray(rest, np.uint8))
         self.halted, self.dirty, self.rows, self.checked = "", False, 0, time.monotonic()
         self.last = Last(heard=time.monotonic())
         self.feed: Feed | None = None
         self.sinks = sinks(asset, self.follows.head, before.get("sinks"))
+        swept(state)
         if not there:
-            self.checkpoint()  # which output is its own is known before the first row
+            try:
+                self._save()  # which tables are its own is known before anything stands in them
+            except BaseException:
+                self.sinks.close()
+                raise
 
     def knows(self, piece: Received) -> bool:
         """Whether a message is sent again that was taken before.
@@ -130,10 +137,10 @@ class Live:
         if not entries:
             return 0
         self._recent.add(entry.key for entry in entries if entry.key)
+        self.last.heard = time.monotonic()
         if self.halted:
             return 0
-        self.dirty, self.last.heard, count = True, time.monotonic(), 0
-        begin = 0
+        self.dirty, count, begin = True, 0, 0
         for k, entry in enumerate(entries):
             if entry.fresh:
                 count += self._read(entries[begin:k])
@@ -142,9 +149,10 @@ class Live:
         return count + self._read(entries[begin:])
 
     def another(self) -> None:
-        """What follows comes from another file or connection."""
+        """What follows comes from another file or connection; a connection may repeat what came, a file does not."""
         self.follows.another()
-        self.follows.clock.again = self.follows.clock.grid is not None
+        if self.feed is None or not self.feed.lasting:
+            self.follows.clock.again = self.follows.clock.grid is not None
 
     def checkpoint(self) -> None:
         """Put on the disk where it stands, after its rows.
@@ -157,6 +165,13 @@ class Live:
         if self.halted:
             return
         self.sinks.sync()
+        self._save()
+
+    def close(self) -> None:
+        """Let go of its tables."""
+        self.sinks.close()
+
+    def _save(self) -> None:
         rest = self.follows.lines.rest
         place = self.place if self.feed is None else self.feed.place(self.asset.name, len(rest))
         journal = self.feed is not None and not self.feed.lasting
@@ -174,10 +189,6 @@ class Live:
         if self.feed is not None:
             self.feed.saved(self.asset.name, place)
 
-    def close(self) -> None:
-        """Let go of its tables."""
-        self.sinks.close()
-
     def _read(self, entries: Sequence[JournalEntry]) -> int:
         data = b"".join(entry.data for entry in entries)
         if self.halted or not data:
@@ -188,9 +199,10 @@ class Live:
             count = self.follows.take(stamps, values, rows)
             if self.follows.lines.refused is not None:
                 raise self.follows.lines.refused
-        except InputError as error:
-            self.halted = str(error)
-            log.error("%s is halted: %s", self.asset.name, error)
+        except Exception as error:  # one that nobody expected stops nobody else either
+            known = isinstance(error, InputError)
+            self.halted = str(error) if known else f"{type(error).__name__}: {error}"
+            log.error("%s is halted: %s", self.asset.name, self.halted, exc_info=not known)
         if rows.parts:
             times, load, std, *alarms = rows.whole()
             self.sinks.write(times, load, std, *alarms)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import threading
 import time
@@ -16,6 +17,7 @@ from structures.errors import InputError
 from .server import Server
 
 PHASES = ("warm-up", "transient", "periodic", "steady")
+log = logging.getLogger(__name__)
 LOCAL = ("127.0.0.1", "localhost")
 HELP = {
     "loadid_up": ("gauge", "1 while a structure is tracked, 0 while it is halted"),
@@ -135,11 +137,10 @@ class Endpoint:
     def __init__(self, server: Server, port: int) -> None:
         handler = type("Handler", (_Handler,), {"asked": server})
         try:
-            self._http = ThreadingHTTPServer(("127.0.0.1", port), handler)
+            self._http = _Http(("127.0.0.1", port), handler)
         except OSError as error:
             raise InputError("the port cannot be had", where=f"[run], http = {port}", found=error.strerror,
                              hint="name another one, or 0 for any that is free") from None  # fmt: skip
-        self._http.daemon_threads = True
         self.address = f"http://127.0.0.1:{self._http.server_address[1]}"
         self._thread = threading.Thread(target=self._http.serve_forever, name="metrics", daemon=True)
         self._thread.start()
@@ -148,6 +149,14 @@ class Endpoint:
         """Answer nobody any more."""
         self._http.shutdown()
         self._http.server_close()
+
+
+class _Http(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who asked has left before the answer."""
+        log.debug("no answer to %s", client_address, exc_info=True)
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -25,6 +25,7 @@ from .plan import Address, LiveAsset, ServePlan
 from .sinks import Sinks
 
 LOOK = 0.1  # s between two looks whether to stop
+HELD = 16 << 20  # bytes of the journal that are tracked at once
 SHARE = 0.25  # of the time, at most, for checkpoints
 TURN = 4  # checkpoints of a structure, in time, after which a segment of the journal is closed
 log = logging.getLogger(__name__)
@@ -113,6 +114,8 @@ class Server:
             while not stop.is_set() and (left := start + self.plan.run.latency - time.monotonic()) > 0:
                 if self._wanted.wait(min(left, LOOK)):
                     self._answer()
+                if any(feed.full() for feed in self.feeds.values()):
+                    break
         for live in self.lives.values():
             if live.dirty:
                 live.checkpoint()
@@ -125,8 +128,7 @@ class Server:
         taken = [(feed, feed.take()) for feed in feeds]
         entries, kept = self._numbered(taken)
         self.journal.append(kept)
-        for name, own in entries.items():
-            self.lives[name].take(own)
+        self._taken(entries)
         for feed, pieces in taken:
             feed.confirm(pieces)
         self.rounds += 1
@@ -164,14 +166,23 @@ class Server:
     def _again(self, told: Callable[[float, str], None]) -> None:
         """Track what the journal holds and the checkpoints do not."""
         waiting: dict[str, list[JournalEntry]] = {}
+        held = passed = 0
         for entry in self.journal.entries():
             live = self.lives.get(entry.to)
+            passed += len(entry.data)
             if live is not None and entry.serial >= live.serial:
                 waiting.setdefault(entry.to, []).append(entry)
                 live.serial = entry.serial + 1
-        for k, (name, entries) in enumerate(waiting.items()):
-            told(k / len(waiting), f"what came for {name} before")
-            self.lives[name].take(entries)
+                held += len(entry.data)
+            if held >= HELD:  # a journal of days does not fit into the memory
+                told(min(passed / max(self.journal.size, 1), 1.0), "what came before")
+                self._taken(waiting)
+                waiting, held = {}, 0
+        self._taken(waiting)
+
+    def _taken(self, entries: dict[str, list[JournalEntry]]) -> None:
+        for name, own in entries.items():
+            self.lives[name].take(own)
 
     def _checkpoints(self) -> None:
         """Of the structures whose time has come, the oldest first, for a share of the time; then a shorter journal."""

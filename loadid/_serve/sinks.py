@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from .._stream.output import Output
+from .._stream.output import Output, holds
 from .brokers import PUBLISHERS, Publisher
 from .plan import Address, LiveAsset
 
 KIND = "tracked loads"
+LISTENERS = 32  # of one structure
 BEHIND = 1 << 20  # bytes that a listener may be behind, before it is left
 Array = NDArray[np.float64]
 
@@ -54,18 +55,29 @@ class PartFiles:
     folder : path
     head : sequence of str
         Names of the columns.
-    rows : int
-        Rows before the first that comes.
+    rows : int or None
+        Rows before the first that comes, as a checkpoint knows them.
+
+    Raises
+    ------
+    InputError
+        A folder that cannot be made, or one with parts of which no checkpoint knows.
     """
 
-    def __init__(self, folder: Path, head: Sequence[str], rows: int = 0) -> None:
-        self.folder, self.head, self.rows = folder, list(head), rows
+    def __init__(self, folder: Path, head: Sequence[str], rows: int | None = None) -> None:
+        self.folder, self.head, self.rows = folder, list(head), rows or 0
         self._held: list[Array] = []
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError("the folder cannot be made", where=str(folder), found=error.strerror or str(error),
                              hint="check the path") from None  # fmt: skip
+        if rows is None and any(folder.glob(f"part-*{folder.suffix}")):
+            raise InputError("the folder has parts, and no state says that this run wrote them", where=str(folder),
+                             expected="a new or an empty folder",
+                             hint="move it away, or name another one")  # fmt: skip
+        for left in folder.glob(".part-*.tmp"):  # of a run that was killed while it wrote one
+            left.unlink(missing_ok=True)
         if folder.suffix == ".parquet":
             _arrow(folder)
 
@@ -150,7 +162,10 @@ class Messages(_Text):
 
 
 class Listeners(_Text):
-    """A port to which anybody on its address may connect: names first, then rows. Who reads too slowly is left."""
+    """A port to which anybody on its address may connect: names first, then rows.
+
+    Who reads too slowly is left, and so is who comes when `LISTENERS` are there.
+    """
 
     def __init__(self, address: Address, head: Sequence[str], counts: Counter[str]) -> None:
         super().__init__(head)
@@ -168,9 +183,13 @@ class Listeners(_Text):
         rows = data.partition(b"\n")[2]
         for waiting in self._waiting.values():
             waiting += rows
-        with suppress(BlockingIOError):
+        with suppress(OSError):  # nobody else is there, or he has left
             while True:
                 made, _ = self._server.accept()
+                if len(self._waiting) >= LISTENERS:
+                    self._counts["undelivered"] += 1
+                    made.close()
+                    continue
                 made.setblocking(False)
                 self._waiting[made] = bytearray(data)
         for made, waiting in list(self._waiting.items()):
@@ -212,13 +231,16 @@ class Sinks:
         self.counts: Counter[str] = Counter()
         self._each: dict[str, Sink] = {}
         before = before or {}
+        named = {str(address) for address in asset.sinks}
+        moved = [place for where, place in before.items() if isinstance(place, dict) and where not in named]
         for address in asset.sinks:
             where = str(address)
             path = Path(address.path)
             if address.scheme == "file" and path.suffix == ".csv":
-                self._each[where] = _table(path, head, before.get(where))
+                known = next((place for place in moved if holds(path, place)), None)
+                self._each[where] = _table(path, head, before.get(where, known))
             elif address.scheme == "file":
-                self._each[where] = PartFiles(path, head, int(before.get(where) or 0))
+                self._each[where] = PartFiles(path, head, before.get(where))
             elif address.scheme == "tcp":
                 self._each[where] = Listeners(address, head, self.counts)
             else:

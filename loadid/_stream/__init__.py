@@ -8,7 +8,6 @@ later is made again at the next start, bit for bit; where its samples do not com
 
 from __future__ import annotations
 
-import glob
 import os
 import threading
 import time
@@ -23,7 +22,7 @@ from structures.errors import InputError
 from .._families.tracking import tracker as checkpoint
 from .._families.tracking.tracker import Tracker
 from .following import Following, Watch
-from .output import Output, StateLock
+from .output import Output, StateLock, swept
 from .sources import ByteSource, open_source
 
 __all__ = ["StreamSummary", "follow", "open_source"]
@@ -133,7 +132,7 @@ class _Run:
             self.source.close()
             raise
         if state is not None:
-            _swept(Path(state))  # now that no other run is known to write it
+            swept(Path(state))  # now that no other run is known to write it
 
     def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch | None) -> StreamSummary:
         begun = told = last = time.monotonic()
@@ -201,12 +200,6 @@ class _Run:
             stream = {"output": self.output.place(), "alarms": self.follows.alarms}
             checkpoint.save(self.follows.tracker, self.state, stream)
             self.claimed = True
-
-
-def _swept(state: Path) -> None:
-    """Remove what a run that was killed while it wrote a checkpoint has left beside it."""
-    for left in state.parent.glob(f".{glob.escape(state.name)}.*.tmp"):
-        left.unlink(missing_ok=True)
 
 
 def _identity(source: str) -> str:

@@ -6,6 +6,7 @@ goes on makes it again; from the first line that it does not make again it stays
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import io
 import os
@@ -71,7 +72,7 @@ class StateLock:
                 file.close()
                 raise InputError("another run goes on from this state", where=str(self.path),
                                  expected="one run for each state",
-                                 hint="end that run first, or name another file with --state")  # fmt: skip
+                                 hint="end that run first, or take another state")  # fmt: skip
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file.fileno()), self._beside.stat()):
                     return file
@@ -94,6 +95,12 @@ def taken(file: BinaryIO) -> bool:
     except OSError:  # a file system without locks
         pass
     return True
+
+
+def swept(path: Path) -> None:
+    """Remove what a run that was killed while it replaced a file has left beside it; no other run may write it now."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
+        left.unlink(missing_ok=True)
 
 
 TAIL = 256  # bytes before the end by which an output is known again
@@ -133,7 +140,7 @@ class Output:
             self._file: BinaryIO = where if not isinstance(where, str) else _opened(Path(where), "wb")
             return
         self.path = path = Path(where)
-        if place is not None and not (_holds(path, place) and not Path(place["where"]).exists()):  # else it was moved
+        if place is not None and not (holds(path, place) and not Path(place["where"]).exists()):  # else it was moved
             _require_same(str(path.resolve()), place)
         self._made = not path.exists()
         if place is not None and self.at and self._made:
@@ -152,9 +159,9 @@ class Output:
         if place is None and size:
             raise InputError("the output exists, and no state says that this run wrote it", where=str(path),
                              found=f"{size} bytes", expected="a new or an empty file",
-                             hint="move it away, or name another file with --out")  # fmt: skip
+                             hint="move it away, or name another file")  # fmt: skip
         begin = self._read(0, len(self._first))
-        if not self._first.startswith(begin) or (self.at and not _holds(path, place or {})):
+        if not self._first.startswith(begin) or (self.at and not holds(path, place or {})):
             raise InputError("the output is not the one that the checkpoint saw", where=str(path),
                              found=f"{size} bytes", expected=f"at least {self.at}, as they were written",
                              hint="put it back, or name the file that it was moved to")  # fmt: skip
@@ -191,7 +198,10 @@ class Output:
         self._begin()
         self._file.flush()
         if self.path is not None:
-            os.fsync(self._file.fileno())
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise self._full(error) from None
 
     def place(self) -> dict[str, Any] | None:
         """Where it ends now."""
@@ -226,12 +236,15 @@ class Output:
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise InputError("the output cannot be written", where=str(self.path or "output"),
-                             found=error.strerror or str(error),
-                             hint="make room and start again: a state goes on where it was") from None  # fmt: skip
+            raise self._full(error) from None
         if self.path is None:
             self._file.flush()
         self._passed(data)
+
+    def _full(self, error: OSError) -> InputError:
+        return InputError("the output cannot be written", where=str(self.path or "output"),
+                          found=error.strerror or str(error),
+                          hint="make room and start again: a state goes on where it was")  # fmt: skip
 
     def _passed(self, data: bytes) -> None:
         self.at += len(data)
@@ -301,7 +314,7 @@ def _last_time(rows: bytes) -> float:
         return float("nan")
 
 
-def _holds(path: Path, place: dict[str, Any]) -> bool:
+def holds(path: Path, place: dict[str, Any]) -> bool:
     """Whether a file holds what a checkpoint has written, wherever it lies now."""
     at = int(place["at"])
     if not at or not path.is_file() or path.stat().st_size < at:
@@ -332,7 +345,7 @@ def _opened(path: Path, mode: str) -> BinaryIO:
     if os.name == "posix" and path.is_file() and not taken(file):  # elsewhere a lock would keep readers out
         file.close()
         raise InputError("another run writes to this file", where=str(path), expected="one run for each output",
-                         hint="end that run first, or name another file with --out")  # fmt: skip
+                         hint="end that run first, or name another file")  # fmt: skip
     return file
 
 

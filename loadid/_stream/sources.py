@@ -193,13 +193,17 @@ class GrowingFile:
         """Whether another file began, and is open now."""
         try:
             there, here = self.path.stat(), os.fstat(self._file.fileno())
+            return self._another(there, here)
         except FileNotFoundError:  # between two files
             return False
+
+    def _another(self, there: os.stat_result, here: os.stat_result) -> bool:
         if (there.st_ino, there.st_dev) != (here.st_ino, here.st_dev):
             if here.st_size > self._at:
                 return True  # it grew before it was put aside
+            file = self.path.open("rb", buffering=0)
             self._file.close()
-            self._file = self.path.open("rb", buffering=0)
+            self._file = file
         elif here.st_size < self._at:
             self._file.seek(0)
         else:

@@ -111,3 +111,42 @@ def test_of_a_halted_structure_alone_its_entries_are_kept(tmp_path: Path, monkey
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="journal cannot be written"):
         Journal(tmp_path / "absent")
+
+
+def test_an_empty_segment_is_not_turned_and_a_copy_is_none(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    for _ in range(3):
+        journal.turn()
+        journal.forget({})
+    assert [path.name for path in tmp_path.glob("*.bin")] == ["journal-00000001.bin"]
+    journal.append(some(5))
+    journal.close()
+    (tmp_path / "journal-00000001-copy.bin").write_bytes((tmp_path / "journal-00000001.bin").read_bytes())
+    assert reopened(tmp_path) == some(5)
+
+
+def test_segments_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    entries, journal = some(4), Journal(tmp_path)
+    journal._number = 99_999_998
+    for entry in entries:
+        journal.turn()
+        journal.append([entry])
+    journal.close()
+    assert reopened(tmp_path) == entries
+
+
+def test_what_only_a_halted_structure_needs_is_not_read_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path)
+    journal.append([JournalEntry("a", k, "", b"x" * 100) for k in range(9)] + [JournalEntry("b", 0, "", b"y")])
+    journal.turn()
+    read: list[Path] = []
+    real = journals._frames
+    monkeypatch.setattr(journals, "_frames", lambda path: (read.append(path), real(path))[1])
+    for _ in range(5):
+        journal.forget({"a": 0, "b": 1})
+    assert len(read) == 1
+    journal.forget({"a": 9, "b": 1})
+    journal.close()
+    assert not list(tmp_path.glob("*.bin"))
