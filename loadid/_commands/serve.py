@@ -29,6 +29,8 @@ def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("plan", metavar="PLAN.toml", help="structures, their sources and sinks (docs/serve.md)")
     parser.add_argument("--check", action="store_true", help="begin, look which sources are there, and stop")
+    parser.add_argument("--skip", metavar="NAME", action="append", default=[],
+                        help="give up what waits in the journal for a halted structure; may repeat")  # fmt: skip
     parser.add_argument("--idle", type=seconds, metavar="S", help="end where nothing has come for so long")
 
 
@@ -39,7 +41,7 @@ def _run(args: Namespace) -> int:
 
     asked = plan.read(args.plan)
     with Bar() as bar:
-        server = Server(asked, bar)
+        server = Server(asked, bar, args.skip)
     with server, until_told() as stop:
         port = asked.run.http
         with nullcontext() if port is None else closing(Endpoint(server, port)) as endpoint:
@@ -62,7 +64,8 @@ def _told(server: Server) -> dict[str, Any]:
         for name, value in live.follows.counts.items():
             total[name] = total.get(name, 0) + value
     return {"rows": sum(live.rows for live in server.lives.values()), "rounds": server.rounds, "busy": server.busy,
-            "counts": total, "messages": server.counts["messages"], "again": server.counts["again"]}  # fmt: skip
+            "counts": total, "messages": server.counts["messages"], "again": server.counts["again"],
+            "skipped": server.counts["skipped"]}  # fmt: skip
 
 
 def _said(server: Server, state: dict[str, Any]) -> str:

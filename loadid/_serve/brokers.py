@@ -27,7 +27,9 @@ from .inputs import Feed, Received
 from .plan import Address, LiveAsset
 
 RECENT = 1000  # messages by which one that is sent twice is known again
+ROUND = 4 << 20  # bytes of a broker that are tracked in one round, or a message more
 QUEUED = 10_000  # messages between the network and the tracker: then the network waits
+FEW = 500  # messages of a cluster in one round
 KEPT = 86_400 * 30  # s for which a broker keeps the session of a server that is away
 WAIT = 5.0  # s for messages to leave at the end
 EXTRAS = {"paho.mqtt.client": "paho-mqtt", "zmq": "pyzmq", "confluent_kafka": "confluent-kafka"}
@@ -98,13 +100,14 @@ class Mqtt(_Topics):
 
     def take(self) -> list[Received]:
         """Messages that have come."""
-        found = []
-        for _ in range(QUEUED):
+        found, size = [], 0
+        while size < ROUND:
             try:
                 receipt = self._queue.get_nowait()
             except queue.Empty:
                 break
             message = receipt[1]
+            size += 1 + len(message.payload)
             names = self.by_topic.get(message.topic, [])
             if not names:  # of an earlier plan
                 self._client.unsubscribe(message.topic)
@@ -216,12 +219,13 @@ class ZeroMq(_Topics):
 
     def take(self) -> list[Received]:
         """Messages that have come: a topic and lines, or lines alone where there is no topic."""
-        found = []
-        for _ in range(QUEUED):
+        found, size = [], 0
+        while size < ROUND:
             try:
                 parts = self._socket.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 break
+            size += 1 + len(parts[-1])
             topic = parts[0].decode("utf-8", "replace") if len(parts) > 1 else ""
             names = self.by_topic.get(topic, [])
             self.counts["refused"] += not names
@@ -276,7 +280,7 @@ class Kafka(_Topics):
         if not self._begun and not self._assigned():
             return []
         found = []
-        for message in self._consumer.consume(QUEUED, timeout=0.0):
+        for message in self._consumer.consume(FEW, timeout=0.0):
             if message.error() is not None:
                 self._why = str(message.error())
                 continue

@@ -62,7 +62,7 @@ def samples(server: Server) -> list[tuple[str, dict[str, str], float]]:
             found += [("loadid_load", {**own, "load": label}, float(load)),
                       ("loadid_load_std", {**own, "load": label}, float(std))]  # fmt: skip
     kinds: dict[str, int] = defaultdict(int)
-    for feed in {id(feed): feed for feed in server.feeds.values()}.values():
+    for feed in set(server.feeds.values()):
         for kind, value in feed.counts.items():
             kinds[kind] += value
     found += [("loadid_sources_total", {"kind": kind}, value) for kind, value in kinds.items()]
@@ -110,7 +110,7 @@ def health(server: Server) -> dict[str, Any]:
 
 def _down(server: Server) -> dict[str, str]:
     found: dict[str, str] = {}
-    for feed in {id(feed): feed for feed in server.feeds.values()}.values():
+    for feed in set(server.feeds.values()):
         found |= feed.down()
     return found
 

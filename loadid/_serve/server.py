@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import logging
 import os
@@ -9,7 +10,7 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -39,6 +40,8 @@ class Server:
     plan : ServePlan
     progress : callable, optional
         ``progress(share, text)`` while trackers are read and the journal is tracked again.
+    skip : collection of str
+        Structures of which what waits in the journal is given up.
 
     Attributes
     ----------
@@ -54,7 +57,10 @@ class Server:
         written, a client library that is not installed, a damaged journal.
     """
 
-    def __init__(self, plan: ServePlan, progress: Callable[[float, str], None] | None = None) -> None:
+    def __init__(
+        self, plan: ServePlan, progress: Callable[[float, str], None] | None = None, skip: Collection[str] = ()
+    ) -> None:
+        _require_skipped(plan, skip)
         self.plan, told = plan, progress or (lambda share, text: None)
         self.counts: Counter[str] = Counter()
         self.rounds, self.busy, self.begun = 0, 0.0, time.monotonic()
@@ -80,10 +86,12 @@ class Server:
                 self.lives[asset.name] = live
             self.journal = Journal(plan.states)
             held.callback(self.journal.close)
-            self._again(told)
+            self._again(told, skip)
             self.feeds: dict[str, Feed] = {}
+            self._each: list[Feed] = []
             for feed, names in _feeds(plan, self.lives):
                 held.callback(feed.close)
+                self._each.append(feed)
                 for name in names:
                     self.feeds[name] = self.lives[name].feed = feed
             self._turned = time.monotonic()
@@ -114,7 +122,7 @@ class Server:
             while not stop.is_set() and (left := start + self.plan.run.latency - time.monotonic()) > 0:
                 if self._wanted.wait(min(left, LOOK)):
                     self._answer()
-                if any(feed.full() for feed in self.feeds.values()):
+                if any(feed.full() for feed in self._each):
                     break
         for live in self.lives.values():
             if live.dirty:
@@ -124,8 +132,7 @@ class Server:
 
     def round(self) -> int:
         """Once through all sources; how many pieces came."""
-        feeds = list({id(feed): feed for feed in self.feeds.values()}.values())
-        taken = [(feed, feed.take()) for feed in feeds]
+        taken = [(feed, feed.take()) for feed in self._each]
         entries, kept = self._numbered(taken)
         self.journal.append(kept)
         self._taken(entries)
@@ -163,14 +170,17 @@ class Server:
                     kept.append(entry)
         return entries, kept
 
-    def _again(self, told: Callable[[float, str], None]) -> None:
+    def _again(self, told: Callable[[float, str], None], skip: Collection[str]) -> None:
         """Track what the journal holds and the checkpoints do not."""
         waiting: dict[str, list[JournalEntry]] = {}
         held = passed = 0
         for entry in self.journal.entries():
             live = self.lives.get(entry.to)
             passed += len(entry.data)
-            if live is not None and entry.serial >= live.serial:
+            if live is not None and entry.serial >= live.serial and entry.to in skip:
+                live.serial, live.dirty = entry.serial + 1, True
+                self.counts["skipped"] += 1
+            elif live is not None and entry.serial >= live.serial:
                 waiting.setdefault(entry.to, []).append(entry)
                 live.serial = entry.serial + 1
                 held += len(entry.data)
@@ -179,6 +189,9 @@ class Server:
                 self._taken(waiting)
                 waiting, held = {}, 0
         self._taken(waiting)
+        for name in skip:
+            if self.lives[name].dirty:
+                self.lives[name].checkpoint()  # else it would wait for another start
 
     def _taken(self, entries: dict[str, list[JournalEntry]]) -> None:
         for name, own in entries.items():
@@ -221,6 +234,20 @@ class Server:
     def publishers(self) -> Iterable[Publisher]:
         """Connections by which rows go out."""
         return self._publishers.values()
+
+
+def _require_skipped(plan: ServePlan, skip: Collection[str]) -> None:
+    """Nothing, where what waits for these structures can be given up."""
+    known = {asset.name: asset.source for asset in plan.assets}
+    for name in skip:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise InputError("no such structure", where="--skip", found=name, expected=", ".join(list(known)[:20]),
+                             hint=f"did you mean {near[0]!r}?" if near else "")  # fmt: skip
+        if known[name].scheme in ("file", "kafka"):
+            raise InputError("what waits for this structure is not in the journal", where=f"--skip {name}",
+                             found=str(known[name]), expected="a source that cannot be asked again",
+                             hint="mend the file or the topic, or begin under another name")  # fmt: skip
 
 
 def _feeds(plan: ServePlan, lives: dict[str, Live]) -> list[tuple[Feed, list[str]]]:

@@ -93,7 +93,8 @@ def header(
                          + ("a channel" if len(missing) == 1 else f"{len(missing)} channels"),
                          where="header of the stream", found=", ".join(c.label for c in missing[:50]),
                          expected="a unit such as m/s^2, g, N, mm, um/m, V",
-                         hint="state the unit (" + " ".join(f"--unit {c.label}={c.unit}" for c in missing[:12]) + "), "
+                         hint="state the unit (" + " ".join(f"--unit {c.label}={c.unit}" for c in missing[:12])
+                         + "; in a plan: unit = {...}), "
                          f"or write it in the header: {missing[0].label} [{missing[0].unit}]")  # fmt: skip
     factors = tuple(_factor(found[k], c) for k, c in zip(columns, sensors, strict=True))
     time = next((k for k, (name, _) in enumerate(titles) if name.lower() in TIME and k not in columns), None)

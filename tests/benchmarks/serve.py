@@ -145,8 +145,8 @@ def day(rows: int) -> None:
             client.loop_stop()
     counts = {kind: found.get(f'loadid_events_total{{structure="mast",kind="{kind}"}}', 0.0)
               for kind in ("samples", "filled", "late", "jumps")}  # fmt: skip
-    print(f"{rows:,} rows at 1 kHz: {1e6 * cpu / rows:.1f} us a row; growth after the first 24th {grown:.1f} MB; messages "
-          f"sent {dict(sent)}; known again {found['loadid_messages_again_total']:.0f}; {counts}")  # fmt: skip
+    print(f"{rows:,} rows at 1 kHz: {1e6 * cpu / rows:.1f} us a row; growth after the first 24th {grown:.1f} MB; "
+          f"messages sent {dict(sent)}; known again {found['loadid_messages_again_total']:.0f}; {counts}")  # fmt: skip
 
 
 def metrics(port: int) -> dict[str, float]:

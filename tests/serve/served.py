@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ def lines(**settings: bool) -> list[bytes]:
     return text(*fitted(), **settings)
 
 
-def server(folder: Path, source: str, **run: float) -> Server:
+def server(folder: Path, source: str, skip: Sequence[str] = (), **run: float) -> Server:
     """A server of one structure, ``mast``."""
     if not (folder / "model.h5").exists():
         fitted()[0].save(folder / "model.h5")
@@ -43,7 +43,7 @@ def server(folder: Path, source: str, **run: float) -> Server:
         f'states = "states"\n[run]\n{settings}[[asset]]\nname = "mast"\nmodel = "model.h5"\nsource = "{source}"\n'
         'sinks = ["mast.csv"]\n'
     )
-    return Server(plan.read(folder / "plan.toml"))
+    return Server(plan.read(folder / "plan.toml"), skip=skip)
 
 
 def rounds(one: Server, done: Callable[[], bool], what: str) -> None:

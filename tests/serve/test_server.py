@@ -62,6 +62,42 @@ def test_a_header_without_a_unit_halts_one_structure_alone_and_is_mended_by_the_
     assert (tmp_path / "roof.csv").read_bytes() == (tmp_path / "mast.csv").read_bytes()
 
 
+def test_what_can_never_be_read_is_given_up_for_one_structure_alone(tmp_path: Path) -> None:
+    log = lines()
+    fitted()[0].save(tmp_path / "model.h5")
+    with Mosquitto(tmp_path) as broker:
+        (tmp_path / "plan.toml").write_text(
+            f'states = "states"\n[run]\nlatency = 0.005\n[every]\nmodel = "model.h5"\n'
+            f'source = "mqtt://127.0.0.1:{broker.port}/{{name}}"\nsinks = ["{{name}}.csv"]\n'
+            '[[asset]]\nname = "mast"\n[[asset]]\nname = "roof"\n'
+        )
+        asked, client = plan.read(tmp_path / "plan.toml"), broker.client()
+        with Server(asked) as one:
+            rounds(one, lambda: not one.feeds["mast"].down(), "the subscription")
+            client.publish("mast", b"time,a0 [g]\n0,1\n", qos=1)
+            client.publish("mast", b"".join(log[:300]), qos=1)
+            client.publish("roof", b"".join(log[:500]), qos=1)
+            rounds(one, lambda: one.counts["messages"] == 3 and rows(tmp_path, "roof.csv") == 499, "all messages")
+            assert one.lives["mast"].halted
+        with Server(asked) as one:
+            assert one.lives["mast"].halted
+        with pytest.raises(InputError, match="did you mean 'mast'"):
+            Server(asked, skip=["masts"])
+        with Server(asked, skip=["mast"]) as one:
+            assert not one.lives["mast"].halted
+            assert one.counts["skipped"] == 2
+        with Server(asked) as one:
+            assert not one.lives["mast"].halted
+            assert one.counts["skipped"] == 0
+            client.publish("mast", b"".join([log[0], *log[300:400]]), qos=1)
+            rounds(one, lambda: rows(tmp_path) == 100, "the rows")
+            assert one.lives["roof"].follows.counts["samples"] == 499
+        client.disconnect()
+        client.loop_stop()
+    with pytest.raises(InputError, match="not in the journal"):
+        server(tmp_path, "log.csv", skip=["mast"])
+
+
 def test_pauses_late_and_doubled_messages_are_counted_and_do_no_harm(tmp_path: Path) -> None:
     log = lines()
     pieces = [b"".join(log[k : k + 20]) for k in range(1, 1501, 20)]
