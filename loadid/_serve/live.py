@@ -25,7 +25,8 @@ from .journal import JournalEntry
 from .plan import BROKERS, LiveAsset
 from .sinks import Sinks
 
-MESSAGES = 1000  # late rows in a row that show a clock that was put back: fewer are messages out of order
+MESSAGES = 1000  # late rows in a row that show a clock that was put back: fewer are messages out of order,
+OVERTAKEN = 4  # as are those of fewer messages of the longest kind
 ROW = tuple(b"%c" % c for c in b"+-.0123456789")  # how a message without a line of names begins
 Array = NDArray[np.float64]
 log = logging.getLogger(__name__)
@@ -141,6 +142,9 @@ class Live:
         if self.halted:
             return 0
         self.dirty, count, begin = True, 0, 0
+        if self.asset.source.scheme in BROKERS:
+            longest = max(entry.data.count(b"\n") for entry in entries)
+            self.follows.clock.regular = max(self.follows.clock.regular, OVERTAKEN * longest)
         for k, entry in enumerate(entries):
             if entry.fresh:
                 count += self._read(entries[begin:k])

@@ -51,7 +51,7 @@ def resident(pid: int) -> float:
 def fitted(samples: int, dt: float = 0.01) -> tuple[Tracker, np.ndarray]:
     """Tracker of a ten-storey building, fitted to a record of it, and a longer record."""
     case = bm2("matern", 0, samples=samples, dt=dt)
-    return LoadTracker(case.setup.space("zoh"), noise=case.noise).fit(case.y[:1500], case.dt), case.y
+    return LoadTracker(case.setup.space("zoh"), noise=case.noise).fit(case.y[:3000], case.dt), case.y
 
 
 def served(folder: Path, broker: Mosquitto, names: list[str], latency: float) -> tuple[subprocess.Popen[bytes], int]:
@@ -111,8 +111,8 @@ def fleet(structures: int, seconds: int) -> None:
 
 def day(rows: int) -> None:
     """Growth of the memory over a day of one structure at 1 kHz, a message a second, some of them in trouble."""
-    tracker, Y = fitted(6000, 1e-3)
-    cells = [line.partition(b",")[2] for line in text(tracker, Y[1000:])]
+    tracker, Y = fitted(600_000, 1e-3)  # played over and over: a jump every ten minutes
+    cells = [line.partition(b",")[2] for line in text(tracker, Y)]
     head, body = b"time," + cells[0], cells[1:]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -122,7 +122,7 @@ def day(rows: int) -> None:
             client, base, cpu, sent = broker.client(), 0.0, spent(server.pid), Counter[str]()
             waiting: list[bytes] = []
             for k in range(rows // 1000):
-                part = body[1000 * (k % 5) : 1000 * (k % 5 + 1)]
+                part = body[1000 * (k % 600) : 1000 * (k % 600 + 1)]
                 stamped = b"".join(b"%d.%03d,%s" % (k, i, row) for i, row in enumerate(part))
                 kind = next((what for what, each in TROUBLE.items() if k % each == each - 1), "sound")
                 sent[kind] += 1
@@ -132,6 +132,8 @@ def day(rows: int) -> None:
                     for message in [stamped, *([stamped] if kind == "doubled" else []), *waiting]:
                         client.publish("mast", head * (k == 0) + message, qos=1)
                     waiting = []
+                if k % (rows // 8000) == rows // 8000 - 1:
+                    print(f"  {k + 1:,} s: {resident(server.pid):.1f} MB", flush=True)
                 if k % 100 == 99:
                     waited(lambda k=k: metrics(port)["loadid_messages_total"] >= k - 200, "the server", 300)  # type: ignore[misc]
                 if not base and k >= rows // 24_000:

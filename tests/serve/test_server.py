@@ -23,6 +23,7 @@ from loadid._serve.metrics import Endpoint, exposition, samples
 from loadid._serve.server import Server
 from loadid.cli import main as command
 from structures.errors import InputError
+from tests.killed import text
 
 from .broker import Mosquitto, free_port, health, waited
 from .served import fitted, lines, rounds, rows, server, undisturbed
@@ -126,6 +127,26 @@ def test_pauses_late_and_doubled_messages_are_counted_and_do_no_harm(tmp_path: P
     whole = np.loadtxt(undisturbed(tmp_path, log).splitlines(), delimiter=",", skiprows=1)
     calm = slice(1300, None)  # long after
     np.testing.assert_allclose(table[calm, 1], whole[calm, 1], atol=0.2 * np.std(whole[:, 1]))
+
+
+def test_a_long_message_that_is_overtaken_is_no_clock_that_was_put_back(tmp_path: Path) -> None:
+    """A message of more rows than show a clock that was put back, where it is one message alone."""
+    tracker, Y = fitted()
+    log = text(tracker, np.tile(Y, (5, 1)))
+    pieces = [b"".join(log[k : k + 1200]) for k in range(1, 7201, 1200)]
+    with Mosquitto(tmp_path) as broker, server(tmp_path, f"mqtt://127.0.0.1:{broker.port}/mast") as one:
+        rounds(one, lambda: not one.feeds["mast"].down(), "the subscription")
+        client = broker.client()
+        for k in (0, 2, 1, 3, 4, 5):
+            client.publish("mast", log[0] * (k == 0) + pieces[k], qos=1)
+            rounds(one, lambda k=k: one.counts["messages"] > {0: 0, 2: 1, 1: 2}.get(k, k), "the message")  # type: ignore[misc]
+        counts = one.lives["mast"].follows.counts
+        client.disconnect()
+        client.loop_stop()
+    assert counts["late"] == counts["filled"] == 1200
+    assert "jumps" not in counts
+    times = np.loadtxt(tmp_path / "mast.csv", delimiter=",", skiprows=1)[:, 0]
+    np.testing.assert_allclose(times, np.arange(7200) * 0.01, atol=1e-6)
 
 
 def test_all_kinds_of_sinks_hold_the_same_rows(tmp_path: Path) -> None:
