@@ -1,8 +1,9 @@
 """What came and cannot be asked for again, on the disk before it is tracked.
 
-A journal is a folder of segments, ``journal-00000001.bin``, ..., each a row of frames: length, CRC-32, and a JSON line
-(structure, serial number, key of the message) before the bytes. A frame whose end is missing was being written when
-the process was killed: nobody has confirmed it, and it is none. Segments that every structure has left behind are
+A journal is a folder of segments, ``journal-00000001.bin``, ..., each a row of frames: length, CRC-32, and what came in
+a round, each with its length and a JSON line (structure, serial number, key of the message) before the bytes. A last
+frame that is not whole was being written when the process or the machine went down: nobody has confirmed any of it, and
+it is none. Segments that every structure has left behind are
 removed; of an old one that only a halted structure needs, its frames are kept.
 """
 
@@ -21,7 +22,7 @@ from typing import NamedTuple
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-FRAME = struct.Struct("<II")  # length and CRC of what follows
+FRAME, LENGTH = struct.Struct("<II"), struct.Struct("<I")  # length and CRC of a frame; length of an entry
 SEGMENTS = re.compile(r"journal-(\d{8,})\.bin")
 SEGMENT = 16 << 20  # bytes, from which a new one is begun
 SPARSE = 0.5  # share of a segment that is needed, below which the rest is dropped
@@ -94,7 +95,7 @@ class Journal:
         """
         if not entries:
             return
-        data = b"".join(map(_framed, entries))
+        data = _framed(entries)
         try:
             left = memoryview(data)
             while left:
@@ -127,7 +128,7 @@ class Journal:
                 del self.last[path]
             elif len(needed) < len(last):
                 kept = [e for e in _frames(path) if e.to in needed and e.serial >= reached[e.to]]
-                data = b"".join(map(_framed, kept))
+                data = _framed(kept)
                 if len(data) < SPARSE * path.stat().st_size:
                     storage.replace(path, data)
                 self.last[path] = {name: last[name] for name in needed}  # not read again before one of these is done
@@ -143,15 +144,21 @@ class Journal:
         self._path, self._size = self.folder / f"journal-{self._number:08d}.bin", 0
         self._open: dict[str, int] = {}
         try:
-            self._file = self._path.open("xb", buffering=0)
-        except OSError as error:
-            raise InputError("the journal cannot be written", where=str(self._path),
-                             found=error.strerror or str(error), hint="check the folder states") from None  # fmt: skip
+            storage.replace(self._path, b"")  # its name is on the disk too
+            self._file = self._path.open("ab", buffering=0)
+        except (OSError, InputError) as error:
+            found = error.found if isinstance(error, InputError) else error.strerror
+            raise InputError("the journal cannot be written", where=str(self._path), found=found,
+                             hint="check the folder states") from None  # fmt: skip
 
 
-def _framed(entry: JournalEntry) -> bytes:
-    head = json.dumps([entry.to, entry.serial, entry.key, entry.fresh]).encode() + b"\n"
-    body = head + entry.data
+def _framed(entries: Sequence[JournalEntry]) -> bytes:
+    """One frame."""
+    parts = []
+    for entry in entries:
+        head = json.dumps([entry.to, entry.serial, entry.key, entry.fresh]).encode() + b"\n"
+        parts += [LENGTH.pack(len(head) + len(entry.data)), head, entry.data]
+    body = b"".join(parts)
     return FRAME.pack(len(body), zlib.crc32(body)) + body
 
 
@@ -169,10 +176,19 @@ def _frames(path: Path) -> Iterator[JournalEntry]:
             raise InputError("the journal is damaged", where=str(path), found=f"a wrong checksum at byte {at}",
                              expected="frames as they were written",
                              hint="put a copy back, or move the file away: what it holds is lost")  # fmt: skip
-        head, _, rest = body.partition(b"\n")
+        yield from _entries(body)
+        at = end
+
+
+def _entries(body: bytes) -> Iterator[JournalEntry]:
+    """What a frame holds."""
+    at = 0
+    while at < len(body):
+        (length,) = LENGTH.unpack_from(body, at)
+        head, _, rest = body[at + LENGTH.size : at + LENGTH.size + length].partition(b"\n")
         to, serial, key, fresh = json.loads(head)
         yield JournalEntry(to, serial, key, rest, fresh)
-        at = end
+        at += LENGTH.size + length
 
 
 def _lasts(entries: Iterator[JournalEntry] | Sequence[JournalEntry]) -> dict[str, int]:

@@ -58,7 +58,8 @@ def test_cut_at_every_byte_gives_the_whole_frames_before_it(tmp_path: Path) -> N
 
 def test_a_changed_byte_before_the_end_is_refused_or_ends_the_segment(tmp_path: Path) -> None:
     entries, journal = some(6), Journal(tmp_path)
-    journal.append(entries)
+    for entry in entries:
+        journal.append([entry])
     journal.close()
     (path,) = tmp_path.glob("*.bin")
     data = path.read_bytes()
@@ -73,6 +74,22 @@ def test_a_changed_byte_before_the_end_is_refused_or_ends_the_segment(tmp_path: 
             assert found == entries[: len(found)]
             assert len(found) < len(entries)
     assert refused > len(data) // 2
+
+
+def test_a_round_that_is_torn_anywhere_was_never_confirmed(tmp_path: Path) -> None:
+    """As a machine without power leaves it: pages of the last write are missing, not the last ones alone."""
+    entries, journal = some(12), Journal(tmp_path)
+    journal.append(entries[:5])
+    begin = journal.size
+    journal.append(entries[5:])
+    journal.close()
+    (path,) = tmp_path.glob("*.bin")
+    data = path.read_bytes()
+    for k in range(begin + 8, len(data), 7):
+        gone = data[k : k + 20]
+        if any(gone):
+            path.write_bytes(data[:k] + bytes(len(gone)) + data[k + 20 :])
+            assert reopened(tmp_path) == entries[:5]
 
 
 def test_segments_that_all_have_left_behind_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
