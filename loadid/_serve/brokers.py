@@ -90,6 +90,7 @@ class Mqtt(_Topics):
         self._stop, self._why = threading.Event(), "not connected yet"
         self._client = connected(self.address, client, session=True)
         self._client.on_connect, self._client.on_disconnect = self._came, self._went
+        self._client.on_connect_fail = self._unheard
         self._client.on_message, self._client.on_subscribe = self._heard, self._granted
         self._asked: dict[int, str] = {}  # topics that are subscribed to, until the broker has answered
         self._refused: dict[str, str] = {}
@@ -146,6 +147,9 @@ class Mqtt(_Topics):
         self._connection += 1
         self._refused = {}
         self._asked = {client.subscribe(topic, options=self._wanted)[1]: topic for topic in self.by_topic}
+
+    def _unheard(self, client: Any, data: Any) -> None:
+        self._why = "nobody answers"
 
     def _granted(self, client: Any, data: Any, number: int, reasons: Any, properties: Any) -> None:
         topic = self._asked.pop(number, "")

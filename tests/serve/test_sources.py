@@ -172,3 +172,10 @@ def test_a_client_library_that_is_not_there_is_asked_for(
     monkeypatch.setattr(brokers.importlib, "import_module", missing)
     with pytest.raises(InputError, match=r"pip install 'loadid\[brokers\]'"):
         server(tmp_path, f"{scheme}://127.0.0.1:1/mast")
+
+
+def test_a_broker_that_is_not_there_is_said(tmp_path: Path) -> None:
+    pytest.importorskip("paho.mqtt.client")
+    with server(tmp_path, f"mqtt://127.0.0.1:{free_port()}/mast") as one:
+        feed = one.feeds["mast"]
+        waited(lambda: "nobody answers" in feed.down()["mast"], "the word")
