@@ -29,6 +29,7 @@ LOOK = 0.1  # s between two looks whether to stop
 HELD = 16 << 20  # bytes of the journal that are tracked at once
 SHARE = 0.25  # of the time, at most, for checkpoints
 TURN = 4  # checkpoints of a structure, in time, after which a segment of the journal is closed
+FORGET = 5.0  # s between two looks which segments of the journal all have left behind
 log = logging.getLogger(__name__)
 
 
@@ -94,7 +95,7 @@ class Server:
                 self._each.append(feed)
                 for name in names:
                     self.feeds[name] = self.lives[name].feed = feed
-            self._turned = time.monotonic()
+            self._turned = self._forgot = time.monotonic()
             self._held = held.pop_all()
 
     def __enter__(self) -> Server:
@@ -210,9 +211,11 @@ class Server:
         if now - self._turned >= TURN * run.checkpoint:
             self._turned = now
             self.journal.turn()
+        if now - self._forgot >= FORGET:
             self._forget()
 
     def _forget(self) -> None:
+        self._forgot = time.monotonic()
         self.journal.forget({name: live.reached for name, live in self.lives.items()})
 
     def _answer(self) -> None:
