@@ -14,29 +14,33 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._model import Model
+from structures._threads import one_thread
 from structures.errors import InputError, NotIdentifiable
 
 from .._guards import families as told
 from .._guards.choice import IMPULSIVE
 from .._inverse import rules
-from .._inverse.gaussian.records import filter_record
+from .._inverse.gaussian.records import log_density
 from .._inverse.sparse.atoms import KNOTS
+from .._inverse.sweep import Sweep
 from .._record import Record
 from .._results.estimate import LoadEstimate
-from .._spellings import takes
-from ..settings import Lambda, Noise, Penalty
+from .._spellings import Progress, takes
+from ..settings import Lambda, Noise, Penalty, Sparsity
 from .data import Data, gather
 from .deconvolution import Deconvolution
 from .histories import half_width, kurtosis
 from .kalman import LoadTracker
+from .offsets import without_offsets
 from .posing import PosingSettings
-from .posing.sparsity import Problem, pose, score
+from .posing.sparsity import Problem, Wanted, amplitude_share, choose, pose, score
 from .sparse import SparseDeconvolution
 from .tracking.tracker import Tracker
 
@@ -46,7 +50,7 @@ NAMES = ("white", "random_walk", "ou", "matern32", "matern52")
 FEW = ("white", "matern32", "matern52")  # where loads are many, as each has numbers of its own
 MANY = 4  # loads
 
-Say = Callable[[float, str], None]
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,10 @@ class Process:
     criterion: float
 
 
+def _names(model: Model) -> tuple[str, ...]:
+    return NAMES if len(model.loads) <= MANY else FEW
+
+
 def compared(model: Model, data: Data, samples: int, settings: Mapping[str, Any], say: Say) -> dict[str, Process]:
     """Every prior that a tracker of this model carries, on the first samples of a record; empty where it carries none.
 
@@ -80,12 +88,12 @@ def compared(model: Model, data: Data, samples: int, settings: Mapping[str, Any]
     settings : mapping
         Of `LoadTracker`.
     say : callable
+        Told of each prior before it is tuned.
     """
-    names = NAMES if len(model.loads) <= MANY else FEW
     Y = np.where(data.missing, np.nan, data.values)[:samples]
     found: dict[str, Process] = {}
-    for i, name in enumerate(names):
-        say(i / len(names), f"a load that is {name.replace('_', ' ')}")
+    for name in _names(model):
+        say(f"a load that is {name.replace('_', ' ')}")
         try:
             tracker = LoadTracker(model, prior=name, gate=None, **settings).fit(Y, data.dt)
             found[name] = Process(name, tracker, _criterion(tracker, Y))
@@ -116,7 +124,7 @@ def _criterion(tracker: Tracker, Y: Array) -> float:
         raise InputError("a filter that never settles has no evidence", where="recommend", found="a drift",
                          expected="a settled gain")  # fmt: skip
     tuned = len([name for name in tracker.fitted.numbers if name != "log-likelihood"])
-    density = float(np.sum(filter_record(settled.model, Y, settled).loglik))
+    density = float(np.sum(log_density(settled.model, Y, settled)))
     return -2 * density + tuned * float(np.log(np.isfinite(Y).sum()))
 
 
@@ -206,7 +214,23 @@ class Recommendation:
         return self._run(record, dt)
 
 
+class _Steps:
+    """Progress in even steps; after the first one, what is left if the others take as long as those before."""
+
+    def __init__(self, progress: Callable[[float, str], None] | None, total: int) -> None:
+        self.progress, self.total, self.done, self.began = Progress(progress), total, 0, perf_counter()
+
+    def __call__(self, text: str) -> None:
+        """Before a step."""
+        if self.done:
+            left = (perf_counter() - self.began) / self.done * (self.total - self.done)
+            text += f" (fit {self.done + 1} of {self.total}, about {left:.2g} s to go)"
+        self.progress(self.done / self.total, text)
+        self.done += 1
+
+
 @takes(noise=(Noise, "source"))
+@one_thread()
 def recommend(
     model: Model,
     record: Any,
@@ -226,11 +250,14 @@ def recommend(
 
     Parameters
     ----------
-    model, record, dt, hold, noise, sensors, progress
+    model, record, dt, hold, noise, sensors
         As for `SparseDeconvolution`.
     load_class : {"impact", "service", "slow", "harmonic", "random", "step"}, optional
         What is known of the load. It decides between priors that the record does not tell apart, and has waveforms
         compared for an impact; a record that says otherwise is believed, and the reason says so.
+    progress : callable, optional
+        Called as ``progress(fraction, text)`` before each fit; from the second one on the text holds how many there
+        are, and the seconds that are left if they take as long as those before.
 
     Raises
     ------
@@ -240,38 +267,31 @@ def recommend(
     if load_class is not None and load_class not in CLASSES:
         raise InputError("unknown class of load", where="load_class", found=repr(load_class)[:80],
                          expected=", ".join(map(repr, CLASSES)))  # fmt: skip
-    say = progress or (lambda fraction, text: None)
     known = Noise.of(noise)
     settings: dict[str, Any] = {"hold": hold, "noise": known, "sensors": sensors}
-    say(0.0, "Tikhonov")
+    say = _Steps(progress, 1 + len(_names(model)))
+    say("Tikhonov")
     smooth = Deconvolution(model, penalty=Penalty(variance="constant"), **settings).estimate(record, dt)
     peaked = [kurtosis(g) for g in smooth.load.T]
     worst = int(np.argmax(peaked))
     seen = _Seen(peaked[worst], pulse_width(smooth.load[:, worst]), 1 - (smooth.facts.peak_bias or 0.0))
-    asked = _Asked(model, record, dt, settings, seen, load_class)
     data = gather(record, dt, model, sensors, allow_missing=True)
-    problem = pose(model, data, PosingSettings(known, Lambda(), Penalty(), (), hold))
+    posing = PosingSettings(known, Lambda(), Penalty(), (), hold)
+    problem = pose(model, data, posing)
     first = problem.beginning()
+    impulsive = load_class == "impact" or not seen.kurtosis < IMPULSIVE
+    say.total += len(_spacings(first)) + 1 if impulsive else 0  # spikes are fitted once more, for their heights
     samples = first.samples + len(data.values) - problem.samples
-    processes = compared(model, data, samples, settings, lambda f, t: say(0.1 + 0.4 * f, t))
+    processes = compared(model, data, samples, settings, say)
     criteria = {"tikhonov" if name == "white" else name: one.criterion for name, one in processes.items()}
-    if seen.kurtosis < IMPULSIVE and load_class != "impact":
-        return asked.process(criteria, {})
-    scores, shares = _compared(first, lambda f, t: say(0.2 + f, t))
-    best = min(scores, key=lambda k: scores[k])
-    knots = min((k for k in scores if k > 1), key=lambda k: scores[k], default=None)
-    every = dict(criteria)
-    for k, value in scores.items() if criteria else ():
-        name = "spikes" if k == 1 else "pulses"
-        every[name] = min(of_sparse(value, first, samples), every.get(name, np.inf))
-    if shares[best] > told.DENSE:
-        found = asked.process(every, scores)
-        dense = f"{'' if criteria else ', but'} {shares[best]:.0%} of the best dictionary would be in use"
-        return replace(found, reason=f"{found.reason}{';' if criteria else ''}{dense}", knots=knots)
-    if every and _chosen(every, load_class) not in WAVEFORMS:
-        return replace(asked.process(every, scores), knots=knots)
-    say(0.8, "spikes")
-    return replace(asked.waveforms(every, scores, best), knots=knots)
+    asked = _Asked(model, settings, seen, load_class)
+    if not impulsive:
+        found = asked.process(criteria, {})
+    else:
+        sweeps, shares = _swept(first, say)
+        found = asked.either(criteria, _Waveforms(model, data, posing, problem, sweeps, shares), samples, say)
+    say.progress(1.0, "done")
+    return found
 
 
 @dataclass(frozen=True)
@@ -290,14 +310,28 @@ class _Seen:
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """A model and a record, the settings of every family, what the Tikhonov load shows, the class of the load."""
+    """A model, the settings of every family, what the Tikhonov load shows, the class of the load."""
 
     model: Model
-    record: Any
-    dt: float | None
     settings: Mapping[str, Any]
     seen: _Seen
     load_class: str | None
+
+    def either(self, criteria: Mapping[str, float], waves: _Waveforms, samples: int, say: Say) -> Recommendation:
+        """A process, or waveforms where they explain the first samples better."""
+        scores, best = waves.scores, waves.best
+        knots = min((k for k in scores if k > 1), key=lambda k: scores[k], default=None)
+        every = dict(criteria)
+        for k, value in scores.items() if criteria else ():
+            name = "spikes" if k == 1 else "pulses"
+            every[name] = min(of_sparse(value, waves.problem.beginning(), samples), every.get(name, np.inf))
+        if (dense := waves.shares[best]) > told.DENSE:
+            found = self.process(every, scores)
+            reason = f"{'; ' if criteria else ', but '}{dense:.0%} of the best dictionary would be in use"
+            return replace(found, reason=found.reason + reason, knots=knots)
+        if every and _chosen(every, self.load_class) not in WAVEFORMS:
+            return replace(self.process(every, scores), knots=knots)
+        return replace(self.waveforms(every, waves, say), knots=knots)
 
     def process(self, criteria: Mapping[str, float], scores: dict[int, float]) -> Recommendation:
         """The best process: by the tracker's smoother, or Tikhonov."""
@@ -311,8 +345,9 @@ class _Asked:
         tracker = LoadTracker(self.model, prior=taken, gate=None, **self.settings)
         return self._answer(taken, family, reason, criteria, scores, partial(smoothed, tracker))
 
-    def waveforms(self, criteria: Mapping[str, float], scores: dict[int, float], best: int) -> Recommendation:
+    def waveforms(self, criteria: Mapping[str, float], waves: _Waveforms, say: Say) -> Recommendation:
         """Spikes (1), or B-splines of a spacing."""
+        scores, best = waves.scores, waves.best
         ahead = min((scores[k] for k in scores if (k == 1) != (best == 1)), default=np.inf) - scores[best]
         if best > 1 and ahead > told.CLEARLY:
             reason = (
@@ -326,9 +361,9 @@ class _Asked:
             settings = {**self.settings, "dictionary": "bspline", "knots": best}
             run = self._by(SparseDeconvolution, settings)
             return self._answer("pulses", family, reason + self._ranked("pulses", criteria), criteria, scores, run)
-        spikes = SparseDeconvolution(self.model, **self.settings).estimate(self.record, self.dt)
-        share = spikes.facts.amplitude_std_with_neighbours or 0.0
-        reason = f"{self.seen}, and {spikes.facts.support} spikes of one sample explain it best"
+        say("heights of spikes")
+        count, share = waves.spikes()
+        reason = f"{self.seen}, and {count} spikes of one sample explain it best"
         trusted = share <= told.UNSURE and ahead > told.CLEARLY
         if not trusted:
             alike = "" if ahead > told.CLEARLY else f" or as well as pulses (criterion {ahead:.2g} apart)"
@@ -384,19 +419,57 @@ def _chosen(criteria: Mapping[str, float], load_class: str | None) -> str:
     return min(held or [best], key=lambda name: criteria[name])
 
 
-def _compared(problem: Problem, say: Callable[[float, str], None]) -> tuple[dict[int, float], dict[int, float]]:
-    """Information criterion and share in use, of spikes (1) and of B-splines by spacing."""
-    first = problem.beginning()
-    spacings = [k for k in KNOTS if k == 1 or k <= first.samples // 8]
-    scores, shares = {}, {}
-    for i, k in enumerate(spacings):
-        say(0.3 + 0.5 * i / len(spacings), f"knots every {k} samples" if k > 1 else "spikes")
+def _spacings(first: Problem) -> list[int]:
+    return [k for k in KNOTS if k == 1 or k <= first.samples // 8]
+
+
+def _swept(first: Problem, say: Say) -> tuple[dict[int, Sweep], dict[int, float]]:
+    """Path over mu, and share in use at its best, of spikes (1) and of B-splines by spacing."""
+    sweeps, shares = {}, {}
+    for k in _spacings(first):
+        say(f"knots every {k} samples" if k > 1 else "spikes")
         atoms = first.atoms("dirac" if k == 1 else "bspline", k)
         sweep = first.path(atoms, False).sweep(first.noise.sigma)
         if len(sweep.lam):
-            scores[k] = score(sweep)
+            sweeps[k] = sweep
             shares[k] = float(rules.need(sweep.point, "edf", "ebic")[rules.best_support(sweep)]) / atoms.n
-    return scores or {1: 0.0}, shares or {1: 1.0}
+    return sweeps, shares or {1: 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class _Waveforms:
+    """What waveforms make of a record: see `_swept`."""
+
+    model: Model
+    data: Data
+    posing: PosingSettings
+    problem: Problem
+    sweeps: dict[int, Sweep]
+    shares: dict[int, float]
+
+    @property
+    def scores(self) -> dict[int, float]:
+        """Information criterion by spacing."""
+        return {k: score(sweep) for k, sweep in self.sweeps.items()} or {1: 0.0}
+
+    @property
+    def best(self) -> int:
+        """Its spacing."""
+        scores = self.scores
+        return min(scores, key=lambda k: scores[k])
+
+    def spikes(self) -> tuple[int, float]:
+        """How many `SparseDeconvolution` finds, and the share by which neighbours make the largest unsure."""
+        data, problem, sweeps = (
+            without_offsets(self.data, self.model, at_rest=True, allow=()),
+            self.problem,
+            self.sweeps,
+        )
+        if data is not self.data:
+            problem, sweeps = pose(self.model, data, self.posing), {}
+        chosen = choose(problem, Wanted("dirac", None, Sparsity(), None), Progress(), sweeps)
+        share = amplitude_share(chosen)
+        return len(chosen.fit.x), 0.0 if share is None else share[0]
 
 
 def pulse_width(g: Array) -> float:

@@ -52,6 +52,21 @@ def test_a_process_is_recognised_and_run():
     assert "Matern-3/2" in estimate.provenance["prior"]
 
 
+@pytest.mark.parametrize(("load_class", "fits"), [(None, 6), ("impact", 12)])
+def test_progress_has_even_steps_and_says_what_is_to_come(load_class, fits):
+    c, heard = case(), list[tuple[float, str]]()
+    recommend(space(), c.y, c.dt, noise=Noise(c.noise, source=SAID), load_class=load_class,
+              progress=lambda fraction, text: heard.append((fraction, text)))  # fmt: skip
+    shares = [fraction for fraction, _ in heard]
+    assert shares[0] == 0
+    assert shares[-1] == 1
+    assert shares[:-1] == pytest.approx(np.arange(len(shares) - 1) / fits)
+    assert len(shares) in (fits, fits + 1)  # heights of spikes are asked where spikes are the best
+    for k, (_, text) in enumerate(heard[1:-1], 2):
+        assert f"(fit {k} of {fits}, about " in text
+        assert text.endswith(" s to go)")
+
+
 def test_a_record_of_some_sensors_and_in_any_unit():
     """The same prior, the same load; channels found by their labels."""
     c = case()
@@ -80,7 +95,7 @@ def test_a_declared_class_decides_where_the_record_does_not():
     asked = recommend(space(), c.y, c.dt, noise=Noise(c.noise, source=SAID), load_class="impact")
     assert {"spikes", "pulses"} <= set(asked.evidence)
     assert asked.prior == "matern32"
-    told = advice._Asked(space(), c.y, c.dt, {}, advice._Seen(3.0, 5.0, 1.0), "harmonic")
+    told = advice._Asked(space(), {}, advice._Seen(3.0, 5.0, 1.0), "harmonic")
     assert "although the load was declared as harmonic" in told.process({"ou": 0.0, "matern52": 99.0}, {}).reason
     with pytest.raises(InputError, match="load_class"):
         recommend(space(), c.y, c.dt, noise=Noise(c.noise, source=SAID), load_class="hammer")

@@ -78,6 +78,21 @@ def test_band_is_the_triangle_of_a_dense_qr_also_where_pivots_vanish() -> None:
     np.testing.assert_allclose(band.rows(np.eye(6)) @ z, band.up(z), atol=1e-13)
 
 
+@pytest.mark.parametrize("L", [None, np.diff(np.eye(60), axis=0)])
+def test_a_face_is_kept_for_its_unknowns_alone(L: Array | None) -> None:
+    """Another set of free unknowns, or a weight on them, has factors of its own."""
+    q = ConstrainedPath(SVDPath(problem(L, False)), [NonNegative()]).prepare(0.05).quadratic
+    rng, dense = np.random.default_rng(4), q.A.T @ q.A
+    f, other = np.arange(0, 60, 2), np.arange(1, 60, 2)
+    assert q.face(f) is q.face(f.copy())
+    assert q.face(other) is not q.face(f)
+    for free, weight in ((f, 0.0), (other, 0.0), (other, 0.3), (other, 0.0)):
+        right, held = rng.standard_normal(60), np.full(60, np.inf)
+        held[free] = weight
+        want = np.linalg.solve(dense[np.ix_(free, free)] + weight * np.eye(len(free)), right[free])
+        np.testing.assert_allclose(q.factor(held).solve(right)[free], want, atol=1e-8 * np.abs(want).max())
+
+
 def problem(L: Array | None, cones: bool) -> LinearProblem:
     """Two pushes seen through a blurred line, or contacts that slide."""
     rng, x = np.random.default_rng(5), np.linspace(0, 1, 60)

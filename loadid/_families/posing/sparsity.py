@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -227,8 +227,10 @@ class SparseChoice:
         return self.scores[used] - others[best], best
 
 
-def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], None]) -> SparseChoice:
-    """Dictionary, mu, solution and support.
+def choose(
+    problem: Problem, wanted: Wanted, progress: Callable[[float, str], None], known: Mapping[int, Sweep] | None = None
+) -> SparseChoice:
+    """Dictionary, mu, solution and support; `known` holds sweeps of this problem by spacing (1: spikes), free of signs.
 
     Raises
     ------
@@ -236,7 +238,7 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
         Where the data hold nothing beyond noise, or the gap stays above `SOLVED`.
     """
     first = problem.beginning()
-    spacings, sweeps = _swept(first, wanted, progress)
+    spacings, sweeps = _swept(first, wanted, progress, known or {})
     scores = {k: score(s) for k, s in sweeps.items()}
     best = min(spacings, key=lambda k: scores[k]) if len(spacings) > 1 else spacings[0]
     knots = best if wanted.named == "bspline" else None
@@ -269,7 +271,7 @@ def choose(problem: Problem, wanted: Wanted, progress: Callable[[float, str], No
 
 
 def _swept(
-    first: Problem, wanted: Wanted, progress: Callable[[float, str], None]
+    first: Problem, wanted: Wanted, progress: Callable[[float, str], None], known: Mapping[int, Sweep]
 ) -> tuple[list[int], dict[int, Sweep]]:
     """Spacings to choose from, and the path on them and on what they are compared with (1: the dictionary as it is)."""
     if wanted.named == "bspline":
@@ -299,7 +301,7 @@ def _swept(
                 hint=Advice("check the record, and the sign that the load may have (",
                             Spelling("sparsity=Sparsity(nonnegative=False)", "without --nonnegative"), ")"),
             )  # fmt: skip
-        sweeps[k] = along.sweep(first.noise.sigma)
+        sweeps[k] = known[k] if k in known else along.sweep(first.noise.sigma)
     return spacings, sweeps
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -39,7 +40,7 @@ class FewRows(Quadratic):
         Absolute lambda, > 0.
     scale : float
         Lambda at which the prior weighs as much as the best seen mode.
-    L : sparse array, optional
+    L : NarrowPenalty, optional
         Penalty of the unknowns; default the identity. With it there are no cones.
     feasible : Feasible
     whole : callable
@@ -50,11 +51,12 @@ class FewRows(Quadratic):
 
     def __init__(
         self, C: Array, shares: Array, lam: float, scale: float, feasible: Feasible, whole: Callable[[], Array],
-        L: Any = None,
+        L: NarrowPenalty | None = None,
     ) -> None:  # fmt: skip
         self.C, self.shares, self.lam2, self.n, self._whole = C, shares, lam**2, C.shape[1], whole
-        self.L, self.lam, self._back = L, lam, None if L is None else L.T
-        own = 1.0 if L is None else np.asarray((L * L).sum(axis=0)).ravel()
+        self.L, self.lam = L, lam
+        self._last: tuple[Index, FewFace | None] = np.zeros(0, int), None
+        own = 1.0 if L is None else L.own
         self.tau = lengths(np.einsum("ij,ij->j", C, C) + self.lam2 * own, feasible)
         condition = self.lam2 / (self.lam2 + scale**2)
         self.well, self.fair = condition > WELL, condition > FAIR
@@ -83,7 +85,7 @@ class FewRows(Quadratic):
 
     def rough(self, h: Array) -> Array:
         """Gradient of the prior, lam^2 L^T L h."""
-        return self.lam2 * (h if self.L is None else self._back @ (self.L @ h))
+        return self.lam2 * (h if self.L is None else self.L.back @ (self.L.rows @ h))
 
     def apply(self, h: Array) -> Array:
         """A^T A h."""
@@ -96,16 +98,31 @@ class FewRows(Quadratic):
     @property
     def parts(self) -> tuple[Array, Array]:
         """The prior, a diagonal or a matrix, and the rows."""
-        return np.full(self.n, self.lam2) if self.L is None else self.lam2 * gram_of(self.L.toarray()), self.C
+        return np.full(self.n, self.lam2) if self.L is None else self.lam2 * gram_of(self.L.rows.toarray()), self.C
 
     def root(self, f: Index, more: Array) -> Root:
         """Root of the prior with a diagonal that the unknowns `f` have besides."""
-        return Scales(np.sqrt(self.lam2 + more)) if self.L is None else Band.of(self.L, f, self.lam, np.sqrt(more))
+        if self.L is None:
+            return Scales(np.sqrt(self.lam2 + more))
+        return Band.of(self.L.rows, f, self.lam, np.sqrt(more), self.L.width)
+
+    def face(self, f: Index) -> FewFace:
+        """That of the unknowns `f`, where no cone bends it and no row is held: exchange, check and tangent share it."""
+        if self._last[1] is None or not np.array_equal(self._last[0], f):
+            found = FewFace(self.C[:, f], self.root(f, np.zeros(len(f))), np.zeros((0, len(f))))
+            self._last = f, found
+            return found
+        return self._last[1]
+
+    def _face(self, face: ActiveFace, f: Index, stiff: Array, E: Array) -> FewFace:
+        if not (face.turns or len(E) or np.any(stiff)):
+            return self.face(f)
+        return FewFace(face.columns(self.C)[:, f], self.root(f, stiff), E)
 
     def few(self, face: ActiveFace, C: Array) -> FewFace | None:
         """The face in the modes of few rows, with the rows C held; None where these meet what no penalty sees."""
         f = np.flatnonzero(~face.held)
-        found = FewFace(face.columns(self.C)[:, f], self.root(f, face.curvature(self.tau)[f]), face.columns(C)[:, f])
+        found = self._face(face, f, face.curvature(self.tau)[f], face.columns(C)[:, f])
         return None if len(C) and len(found.free) else found
 
     def dual_energy(self, delta: Array, h: Array) -> float:
@@ -120,7 +137,7 @@ class FewRows(Quadratic):
         data, beyond = self._data(b)
         h = h + face.back(d0)
         slope = face.turn(self.rough(h) - beyond)[f] + lean
-        return FewFace(face.columns(self.C)[:, f], self.root(f, stiff), Ct).step(self.C @ h - data, slope, short)
+        return self._face(face, f, stiff, Ct).step(self.C @ h - data, slope, short)
 
 
 class Root(Protocol):
@@ -161,11 +178,11 @@ class Band:
         self.R, self.free = R, free
 
     @classmethod
-    def of(cls, L: Any, f: Index, lam: float, diagonal: Array) -> Band:
-        """Of the columns `f` of ``lam L`` with a diagonal below."""
+    def of(cls, L: Any, f: Index, lam: float, diagonal: Array, band: int | None = None) -> Band:
+        """Of the columns `f` of ``lam L`` with a diagonal below; `band` is its width, where that is known."""
         place = np.full(L.shape[1], -1)
         place[f] = np.arange(len(f))
-        R = np.zeros((len(f), width(L)))
+        R = np.zeros((len(f), width(L) if band is None else band))
         R[:, 0] = diagonal
         rotate(L.indptr, L.indices, lam * L.data, place, R)
         free = R[:, 0] == 0.0
@@ -183,6 +200,28 @@ class Band:
         out = np.array(z.reshape(len(z), -1), float, order="C")
         back(self.R, out)
         return out.reshape(z.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class NarrowPenalty:
+    """Sparse rows of a penalty, with what every lambda asks of them."""
+
+    rows: Any
+
+    @cached_property
+    def back(self) -> Any:
+        """Transpose."""
+        return self.rows.T
+
+    @cached_property
+    def own(self) -> Array:
+        """Squared length of each column."""
+        return np.asarray((self.rows * self.rows).sum(axis=0)).ravel()
+
+    @cached_property
+    def width(self) -> int:
+        """See the function."""
+        return width(self.rows)
 
 
 def width(L: Any) -> int:
@@ -330,7 +369,12 @@ class FewFace:
         for _ in range(0 if self._dual is None else REFINEMENTS):
             lacks = (rest + self.all @ z) @ self.all + z + p
             lacks = lacks - self.Q @ (self.Q.T @ lacks)
-            z = z - lacks + self._back(self.W @ lacks)
+            lacks -= self._back(self.W @ lacks)
+            z = z - lacks
+            if np.abs(lacks).max() <= EPS * np.abs(z).max():
+                break
+        if not len(self.size):
+            return self._up(z), np.zeros(len(short))
         gradient = (rest + self.all @ z) @ self.all + z + p
         return self._up(z), -self.turn.T @ ((self.Q.T @ gradient) / self.size)
 
@@ -360,24 +404,32 @@ class FewFace:
         U, s, V = np.linalg.svd(self.W, full_matrices=False)
         return U, s, V
 
+    @cached_property
+    def sizes(self) -> Array:
+        """Singular values of W."""
+        wide = self.W.shape[1] > len(self.W)
+        return np.asarray(np.linalg.svd(np.linalg.qr(self.W.T, mode="r") if wide else self.W, compute_uv=False))
+
     @property
     def passed(self) -> Array:
         """Share of each mode that comes from the data: first those that the prior leaves free."""
-        s = self.modes[1][: self._count]
+        s = self.sizes[: self._count]
         return np.concatenate([np.ones(len(self.free)), s**2 / (1 + s**2)])
 
     @property
     def left(self) -> Array:
         """Share of each mode that comes from what is not data."""
-        return np.concatenate([np.zeros(len(self.free)), 1 / (1 + self.modes[1][: self._count] ** 2)])
+        return np.concatenate([np.zeros(len(self.free)), 1 / (1 + self.sizes[: self._count] ** 2)])
 
     @property
     def _count(self) -> int:
         """Modes besides those that the prior leaves free."""
-        return min(len(self.modes[1]), len(self.W) - len(self.free), self.W.shape[1] - self.Q.shape[1] - len(self.free))
+        return min(len(self.sizes), len(self.W) - len(self.free), self.W.shape[1] - self.Q.shape[1] - len(self.free))
 
     def change(self, slope: Array) -> float:
         """Norm of the minimiser of ``|C x|^2 + |R x|^2 - 2 slope x`` where E x = 0."""
+        if self._dual is not None:
+            return float(np.linalg.norm(self.step(np.zeros(len(self.W)), -slope, np.zeros(self.turn.shape[1]))[0]))
         V, p = self.modes[2], self._rows(slope)
         p = p - self.Q @ (self.Q.T @ p)
         part = V @ p
@@ -402,8 +454,9 @@ class FewFactor:
 
     def __init__(self, rows: FewRows, weight: Array) -> None:
         self.free = np.flatnonzero(np.isfinite(weight))
-        root = rows.root(self.free, weight[self.free])
-        self.face = FewFace(rows.C[:, self.free], root, np.zeros((0, len(self.free))))
+        more = weight[self.free]
+        self.face = rows.face(self.free) if not np.any(more) else FewFace(
+            rows.C[:, self.free], rows.root(self.free, more), np.zeros((0, len(self.free))))  # fmt: skip
 
     def solve(self, r: Array) -> Array:
         """Solution (size,), 0 where held."""

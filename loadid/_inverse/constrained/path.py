@@ -23,7 +23,7 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import ActivePoint, refuse_empty
 from .feasible import Feasible, compile_
-from .few import FewFace
+from .few import FewFace, NarrowPenalty
 from .quadratic import ActiveFace
 from .solver import ConstrainedSolution, ConstrainedSolver, few_rows, grams, resultants_of, soft, soft_values, whitening
 
@@ -300,8 +300,16 @@ class ConstrainedPath(RegularizationPath):
         return self._solvers[lam]
 
     @cached_property
-    def _few(self) -> tuple[Array, Any] | None:
+    def _few(self) -> tuple[Array, NarrowPenalty | None] | None:
         return few_rows(self.base, self.feasible)
+
+    @cached_property
+    def _rows(self) -> Any:
+        """Rows of the penalty, sparse where they are narrow; None for the identity."""
+        from scipy.sparse import csr_array
+
+        L, narrow = self.base.problem.L, self._few is not None and self._few[1] is not None
+        return csr_array(L) if narrow else L
 
     def _given_grams(self) -> tuple[Array, Array]:
         return self._grams
@@ -343,7 +351,7 @@ class ConstrainedPath(RegularizationPath):
         for k, (column, p) in enumerate(zip(self._columns.T, self._solved(lam), strict=True)):
             g = self._load(p)
             rest = column - problem.H @ g
-            rough = g if problem.L is None else problem.L @ g
+            rough = g if self._rows is None else self._rows @ g
             residual2, penalty2 = float(rest @ rest), float(rough @ rough)
             *sums, change = self._tangent(lam, k).scalars(len(column))
             change2 += change**2

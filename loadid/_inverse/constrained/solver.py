@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +15,7 @@ from ..svd import SVDPath
 from . import activeset
 from .activeset import CAP, ActivePoint
 from .feasible import Feasible
-from .few import NARROW, FewRows, width
+from .few import NARROW, FewRows, NarrowPenalty
 from .quadratic import ActiveFace, Quadratic, gram_of
 
 Array = NDArray[np.float64]
@@ -236,7 +235,7 @@ def grams(base: SVDPath, feasible: Feasible) -> tuple[Array, Array]:
     return gram_of(feasible.columns(base.Y.T * base.c[:, None])), gram_of(feasible.columns(base.Y.T * base.s[:, None]))
 
 
-def few_rows(base: SVDPath, feasible: Feasible) -> tuple[Array, Any] | None:
+def few_rows(base: SVDPath, feasible: Feasible) -> tuple[Array, NarrowPenalty | None] | None:
     """Modes that meet data in local unknowns, where they are few, and the penalty, where it has a narrow band.
 
     The penalty is None where all loads have equal variance; None in all where `FewRows` does not serve.
@@ -249,8 +248,8 @@ def few_rows(base: SVDPath, feasible: Feasible) -> tuple[Array, Any] | None:
     if not base.orthonormal:
         if base.problem.L is None or feasible.cones:
             return None
-        L = csr_array(np.asarray(base.problem.L)[:, feasible.keep])
-        if width(L) > NARROW:
+        L = NarrowPenalty(csr_array(np.asarray(base.problem.L)[:, feasible.keep]))
+        if L.width > NARROW:
             return None
     return feasible.columns(base.Y[:, :met].T * base.c[:met, None]), L
 
@@ -273,13 +272,13 @@ class ConstrainedSolver:
         Noise level of the whitened data, which soft resultants are weighed against.
     grams : callable, optional
         Gives the Gram matrices of operator and penalty in local unknowns (`grams`), the same at every lambda.
-    few : (array, sparse array or None), optional
+    few : (array, NarrowPenalty or None), optional
         Few modes that meet data, and the penalty (`few_rows`), the same too.
     """
 
     def __init__(
         self, base: SVDPath, constraints: Sequence[Constraint], feasible: Feasible, lam: float, sigma: float,
-        grams: Callable[[], tuple[Array, Array]] | None = None, few: tuple[Array, Any] | None = None,
+        grams: Callable[[], tuple[Array, Array]] | None = None, few: tuple[Array, NarrowPenalty | None] | None = None,
     ) -> None:  # fmt: skip
         self.base, self.constraints, self.feasible, self.lam, self.sigma = (
             base, tuple(constraints), feasible, float(lam), float(sigma),
@@ -298,7 +297,7 @@ class ConstrainedSolver:
         """Rows of the compressed objective."""
         return self.feasible.columns(self.base.Y.T * self.weights[:, None])
 
-    def _few(self, C: Array, L: Any) -> FewRows:
+    def _few(self, C: Array, L: NarrowPenalty | None) -> FewRows:
         """The objective of few rows C and a penalty L."""
         shares = 1 / self.seen[: len(C)]
         return FewRows(C, shares, self.lam, float(self.base.scale), self.feasible, self._rows, L)

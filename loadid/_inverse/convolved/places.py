@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from itertools import combinations
 
 import numpy as np
@@ -41,8 +42,8 @@ class Refined:
     fitted : FittedHistory
     curvature : array, shape (loads * dim, loads * dim)
         Upper triangular R: ``R^T R`` is the curvature of half the objective over the places.
-    chance : array, of the same shape
-        Curvature that noise of unit level makes by itself: the histories that it feigns are moved too.
+    noise : callable
+        Makes `chance`, which costs as much as the search and is asked of the winner alone.
     edge : bool
         A place came to rest on the bounds.
     settled : bool
@@ -52,9 +53,14 @@ class Refined:
     place: Array
     fitted: FittedHistory
     curvature: Array
-    chance: Array
+    noise: Callable[[], Array]
     edge: bool
     settled: bool
+
+    @cached_property
+    def chance(self) -> Array:
+        """Curvature that noise of unit level makes by itself: the histories that it feigns are moved too."""
+        return self.noise()
 
     @property
     def objective(self) -> float:
@@ -130,9 +136,8 @@ def refine(
             settled = True
             break
     curvature = np.asarray(np.linalg.qr(_jacobian(model, solver, fitted), mode="r"))
-    chance = _chance(model, solver, y.shape)
     edge = bool(np.any((place <= bounds[0]) | (place >= bounds[1])))
-    return Refined(place, fitted, curvature, chance, edge, settled)
+    return Refined(place, fitted, curvature, partial(_chance, model, solver, y.shape), edge, settled)
 
 
 @dataclass(frozen=True)

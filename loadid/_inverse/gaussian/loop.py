@@ -328,6 +328,7 @@ def _padded(f: SteadyFilter, sigmas: ArrayLike) -> Loop:
 
 
 WIDER = 8  # samples after which a root is made narrow again
+TURN = 2 * np.pi
 WHOLE, ODD, ARRIVED, SHOWN = range(4)  # why it stopped: at the end, before an odd sample, settled, in a rhythm
 
 
@@ -374,7 +375,8 @@ class RootLoop:
                    none[1, :, : self.p].copy(), none[1, :, : self.p].copy(), none[2, :, : self.m].copy())  # fmt: skip
 
     def block(
-        self, x: Array, L: Array, ahead: bool, Y: Array, ear: tuple[Any, ...], load: Array, std: Array, e: Array
+        self, x: Array, L: Array, ahead: bool, Y: Array, ear: tuple[Any, ...], load: Array, std: Array, e: Array,
+        density: Array | None = None,
     ) -> tuple[int, int, Array, Array]:  # fmt: skip
         """Fill loads and std (samples, p) and normalised innovations (samples, m) of samples, as far as it goes.
 
@@ -386,6 +388,8 @@ class RootLoop:
         ear : tuple
             Samples heard before; number of each sample's set of channels (samples,); numbers of those before in a ring,
             the newest first, twice; how many samples in a row were as those 1, 2, ... before, and how many show it.
+        density : array, shape (samples,), optional
+            Filled with the log density of each sample, given those before.
 
         Returns
         -------
@@ -406,7 +410,7 @@ class RootLoop:
         at = np.array([L.shape[1], ahead, 0, self._most, ear[0]])
         why = _roots.after(len(Y) * n * wide * self._most)(
             self._ahead, self._noise, self._power, self._width, self._variance, self._near, root, mean, at, Y, *ear[1:],
-            load, std, e,
+            load, std, e, np.empty(len(Y)) if density is None else density,
         )  # fmt: skip
         return int(at[2]), int(why), mean[0, :n].copy(), np.ascontiguousarray(root[0, : at[0], :n].T)
 
@@ -414,7 +418,7 @@ class RootLoop:
 @Compiled
 def _roots(
     F: Array, Q: Array, power: Array, width: Array, variance: Array, near: float, root: Array, mean: Array, at: Array,
-    Y: Array, names: Array, ring: Array, runs: Array, shown: Array, load: Array, std: Array, e: Array,
+    Y: Array, names: Array, ring: Array, runs: Array, shown: Array, load: Array, std: Array, e: Array, density: Array,
 ) -> int:  # fmt: skip
     """`RootLoop.block`: why it stopped.
 
@@ -473,6 +477,7 @@ def _roots(
                     root[0, j, i] = now[j, i]
             now, x = root[0], mean[0]
         at[0], at[1] = r, 0
+        density[k] = 0.0
         for i in range(m):
             if np.isnan(Y[k, i]):
                 continue
@@ -485,6 +490,7 @@ def _roots(
                 for c in range(wide):
                     gain[c] += a * now[j, c]
             share, rest = 1.0 / (size + np.sqrt(power[i] * size)), (Y[k, i] - x[n + i]) / size
+            density[k] -= 0.5 * (np.log(TURN * size) + rest * rest * size)
             for j in range(r):
                 a = share * now[j, n + i]
                 for c in range(wide):

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError, plain
 
 from . import passes as blocks
-from .loop import Loop
+from .compiled import NEVER
+from .loop import ARRIVED, Loop, RootLoop
 from .model import FilterModel, FilterState, Innovation, SquareRoot
 from .roots import Array, lower, solve_lower, solve_lower_transposed
 from .steady import SteadyFilter
@@ -144,6 +145,38 @@ def filter_record(
             progress(k / N, "filtering")
         k += 1
     return Filtered(model, Y, load, std, nis, loglik, normalised, steady, (*stretches, walked))
+
+
+def log_density(model: FilterModel, Y: ArrayLike, steady: SteadyFilter) -> Array:
+    """`filter_record(...).loglik` (samples,) alone: no state is kept, and what is not settled runs in one loop.
+
+    Parameters
+    ----------
+    model : FilterModel
+    Y : array, shape (samples, m)
+    steady : SteadyFilter
+        Of the same model.
+
+    Raises
+    ------
+    InputError
+        As in `filter_record`.
+    """
+    if not RootLoop.takes(model):
+        return filter_record(model, Y, steady).loglik
+    Y, x, L, ahead, k = checked(model, Y), model.x0, model.L0, True, 0
+    loop = RootLoop(model, np.full(model.m, np.inf), np.sum(steady.L**2, axis=1), NEAR)
+    found, load, std, e = np.empty(len(Y)), *np.empty((2, len(Y), model.p)), np.empty(Y.shape)
+    stops, unheard = _complete_until(Y), (0, np.zeros(len(Y), int), np.full(2, -1), np.zeros(1, int), np.full(1, NEVER))
+    while k < len(Y):
+        taken, why, x, L = loop.block(x, L, ahead, Y[k:], unheard, load[k:], std[k:], e[k:], found[k:])
+        k, ahead = k + taken, False
+        if why == ARRIVED and k < len(Y) and (stop := int(stops[k])) - k >= SHORT:
+            settled = Loop(steady.rows(), model.p, model.m, model.F @ x)
+            settled.block(Y[k:stop], load[k:stop], e[k:stop])
+            found[k:stop] = steady.judged(e[k:stop])[1]
+            k, x, L, ahead = stop, settled.x, lower(model.F @ steady.L, model.LQ), True
+    return found
 
 
 def smooth_record(filtered: Filtered, *, progress: Progress = None) -> Smoothed:

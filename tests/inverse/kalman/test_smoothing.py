@@ -93,6 +93,10 @@ def test_a_settling_record_has_the_same_numbers(model: FilterModel) -> None:
     fast = records.filter_record(model, Y, steady(model))
     assert sum(part.count for part in fast.stretches if part.e is not None) > 500
     found, scale = fast, np.std(P)
+    assert np.allclose(records.log_density(model, Y, steady(model)), full.loglik, rtol=1e-7, atol=1e-7)
+    few = np.where(np.random.default_rng(0).random(Y.shape) < 0.4, np.nan, Y)
+    walked = records.filter_record(model, few).loglik
+    assert np.allclose(records.log_density(model, few, steady(model)), walked, rtol=1e-9, atol=1e-9)
     for name in ("std", "nis", "loglik", "normalised"):
         assert np.allclose(getattr(found, name), getattr(full, name), rtol=1e-7, atol=1e-7, equal_nan=True), name
     assert np.max(np.abs(found.load - full.load)) < 1e-9 * scale
