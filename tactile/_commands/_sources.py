@@ -210,6 +210,8 @@ def _view(settings: SensorFile) -> View:
 def _moved(eye: Eye, frames: list[Any]) -> list[str]:
     """Whether frames that nobody called unloaded move: then they were not, and the rest is wrong."""
     last = eye.tracker.step(frames[-1])
+    if not last.tracked[eye.kept].any():
+        return []
     moved = np.abs(np.nanmean(last.moved[eye.kept], axis=0))
     level = eye.noise_px / np.sqrt(max(int(last.tracked.sum()), 1))
     if np.all(moved < MOVED * level):
@@ -317,8 +319,11 @@ def _unloaded(
     many = int(asked) if asked is not None else FIRST if settings.noise is None else 1
     if many < 1:
         raise InputError("no unloaded frame", where="--unloaded", found=asked, expected="a number >= 1, or a path")
-    taken = list(itertools.islice(coming, many))
-    first = [frame for frame in taken if not isinstance(frame, UnusableFrame)]
+    taken: list[Any] = []
+    first: list[Any] = []
+    while len(taken if asked is not None else first) < many and (frame := next(coming, None)) is not None:
+        taken.append(frame)
+        first += [] if isinstance(frame, UnusableFrame) else [frame]
     if not first:
         raise taken[0] if taken else InputError("there are no frames", where=name)
     if len(taken) < many and asked is not None:

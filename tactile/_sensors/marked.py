@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import logging
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from ..vision._eye import Eye
 
 FEWEST = 3  # markers of a frame
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,8 +322,8 @@ class ForceStream:
     """Force maps of frames as they come: an iterator.
 
     A frame that tells nothing (black, saturated, of another size, unreadable, None, fewer than three markers) has no
-    map: nothing is held or invented for it. The next map says so by W604 and names it, and so does `skipped`. Frames of
-    which none is answered end in the error of the first.
+    map: nothing is held or invented for it. The next map says so by W604 and names it, and so do `skipped` and the log.
+    Frames of which none is answered end in the error of the first.
 
     Attributes
     ----------
@@ -362,6 +364,7 @@ class ForceStream:
             except UnusableFrame as error:
                 self._first, why = self._first or error, why or error.what
                 self._lost.append(self.number)
+                _LOG.warning("frame %d left out: %s", self.number, error)
                 continue
             self._answered = True
             gap = guards.skipped(self._lost[before:], why)
@@ -378,8 +381,8 @@ class ForceStream:
             raise StopIteration
         if frame is end or depth is end:
             raise InputError(
-                "frames and depth maps do not go together", where=f"frame {self.number}",
-                found=f"no {'frame' if frame is end else 'depth map'} {self.number}",
+                "frames and depth maps do not go together", where=f"frame {self.number + 1}",
+                found=f"no {'frame' if frame is end else 'depth map'} {self.number + 1}",
                 expected="one depth map for each frame",
             )  # fmt: skip
         self.number += 1

@@ -225,6 +225,24 @@ def test_dead_frames_are_named_and_the_others_answered(
     assert "5 of 12 frames: 1, 10, 12 (" in said
 
 
+def test_dead_frames_among_the_unloaded_ones(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without --unloaded: a damaged first file, and a black frame that is the last of the five taken as unloaded."""
+    from PIL import Image
+
+    images = np.load(made / "stack.npy")
+    (tmp_path / "run").mkdir()
+    for k, image in enumerate([None, *images[:4], np.zeros_like(images[0]), *images[4:]]):
+        path = tmp_path / "run" / f"{k + 1}.png"
+        path.write_bytes(b"") if image is None else Image.fromarray(image).save(path)
+    words = ["tactile", str(tmp_path / "run"), "--pad", str(made / "pad.toml"), "-o", str(tmp_path / "a.h5"), "--json"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["frame"] for one in told["skipped"]] == [1, 6]
+    assert told["reference"] == "first 6 frames of run, 1 of them unusable"
+    assert told["markers"] == len(MARKERS)
+    assert not told["notes"]
+
+
 def test_an_input_of_dead_frames_is_an_error(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = np.load(made / "stack.npy")
     np.save(tmp_path / "dead.npy", np.concatenate([images[:4], np.zeros_like(images[:2])]))
