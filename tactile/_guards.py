@@ -233,7 +233,7 @@ def skipped(numbers: Sequence[int], why: str) -> Flag | None:
     shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
     return above(
         "W604", "frames that tell nothing", float(len(numbers)), 0.0,
-        f"{'frames' if len(numbers) > 1 else 'frame'} {shown} left out, no map stands for them: {why}",
+        f"{'frames' if len(numbers) > 1 else 'frame'} {shown} left out, with no map: {why}",
         "look at light, cable and occlusion; the motion over the gap counts as that of one frame",
     )  # fmt: skip
 

@@ -188,7 +188,7 @@ def test_a_dead_frame_does_not_end_a_stream(kind: str) -> None:
     assert stream.time is None
     for one, like in zip(found, undisturbed(), strict=True):
         assert one.load == pytest.approx(like.load, rel=1e-9, abs=1e-9 * np.abs(like.load).max())
-    told = [[f for f in force.flags if "left out, no map" in f.message] for force in found]
+    told = [[f for f in force.flags if "left out, with no map" in f.message] for force in found]
     assert [len(flags) for flags in told] == [0, 1, 0]
     assert (told[1][0].code, told[1][0].evidence.value) == ("LID-W604", 2.0)
     assert "frames 2, 3 left out" in told[1][0].message
