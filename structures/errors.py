@@ -289,7 +289,8 @@ def pair(name: str, value: Any, *, where: str, unit: str = "") -> tuple[float, f
     InputError
         If they are none, or not two.
     """
-    items = list(value) if isinstance(value, Sequence | np.ndarray) and np.ndim(value) == 1 else []
+    row = value.ndim == 1 if isinstance(value, np.ndarray) else not isinstance(value, str | bytes)
+    items = list(value) if row and isinstance(value, Sequence | np.ndarray) else []
     found = [x for x in map(real, items) if x is not None]
     if len(items) != 2 or len(found) != 2:
         raise InputError(

@@ -228,6 +228,16 @@ def missing_frames(missing: Sequence[int], folder: str) -> Flag | None:
     )  # fmt: skip
 
 
+def skipped(numbers: Sequence[int], why: str) -> Flag | None:
+    """W604: frames (numbers from 1) that told nothing were left out; `why` the first of them did not."""
+    shown = ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
+    return above(
+        "W604", "frames that tell nothing", float(len(numbers)), 0.0,
+        f"{'frames' if len(numbers) > 1 else 'frame'} {shown} left out, with no map: {why}",
+        "look at light, cable and occlusion; the motion over the gap counts as that of one frame",
+    )  # fmt: skip
+
+
 def lost(rows: int, total: int) -> Flag | None:
     """W604: readings were lost in this frame."""
     return above(

@@ -21,7 +21,8 @@ from structures._flags import Flag
 from structures.errors import InputError
 from structures.files._storage import replace as write
 
-from .._arrays import Array
+from .. import _guards as guards
+from .._arrays import Array, UnusableFrame
 from .._pad import padfile
 from .._pad.pad import Pad
 from .._results.film import FPS, encoded, pictures, require_video
@@ -30,7 +31,7 @@ from .._results.pictures import sequence_figure
 from .._results.report import HOW, numbers, page
 from .._sensors.gelslim import GelSlim
 from .._sensors.linear import MultilayerPad
-from .._sensors.marked import ContactLaw
+from .._sensors.marked import FEWEST, ContactLaw
 from .._sensors.posing import RULES, chosen
 from ._sources import DepthMaps, MarkerSource, depth_maps, look
 
@@ -49,7 +50,7 @@ class Reconstruction:
     """Force maps (frames, 3 P) of an input, and how they came about.
 
     Markers `lost` in each frame; lambda with its rule, and where the normal motion comes from, in words; frames a
-    second from image (or motion) to map, the reading of files left out.
+    second from image (or motion) to map, the reading of files left out; frames, from 1, that were `skipped`, and why.
     """
 
     map: ForceMap
@@ -59,6 +60,7 @@ class Reconstruction:
     lam: str
     normal: str
     rate: float
+    skipped: dict[int, str]
 
     @property
     def strongest(self) -> int:
@@ -114,13 +116,14 @@ def reconstruct(
 # -- steps ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _Tracked:
-    """Motion of the frames to invert, with their numbers from 0, and the flags of each."""
+    """Motion of the frames to invert, with their numbers from 0, and the flags of each; frames left out, and why."""
 
     numbers: list[int]
     motions: list[Array]
     flags: list[list[Flag | None]]
     seconds: float
     read: int
+    skipped: dict[int, UnusableFrame]
 
 
 def _sensor(
@@ -151,7 +154,7 @@ def _tracked(
     """Motion of all frames that are asked for."""
     first, last = wanted or (1, seen.count or 10**9)
     numbers, motions, flags, seconds = [], [], [], 0.0
-    read = 0
+    read, skipped = 0, {}
     for k, frame in enumerate(seen.frames):
         if k + 1 > last:
             break
@@ -161,7 +164,11 @@ def _tracked(
                              expected=f"one per frame, also of the unloaded ones: at least {k + 1}")  # fmt: skip
         depth = None if maps is None else maps[k]
         start = time.perf_counter()
-        motion, found = seen.read(frame, depth)
+        try:
+            motion, found = _motion(seen, frame, depth)
+        except UnusableFrame as error:
+            skipped.update({k + 1: error} if k + 1 >= first else {})
+            continue
         seconds += time.perf_counter() - start
         if k + 1 >= first:
             numbers.append(k)
@@ -171,10 +178,23 @@ def _tracked(
     if maps is not None and seen.count is not None and len(maps) != seen.count:
         raise InputError("there is not one depth map per frame", where=maps.name, found=len(maps),
                          expected=f"{seen.count}, the unloaded frames included")  # fmt: skip
+    if skipped and not numbers:
+        raise next(iter(skipped.values()))
     if not numbers:
         raise InputError("there are no such frames", where="--frames", found=f"{first}:{last}",
                          expected=f"frames from 1 to {read}")  # fmt: skip
-    return _Tracked(numbers, motions, flags, seconds, read)
+    return _Tracked(numbers, motions, flags, seconds, read, skipped)
+
+
+def _motion(seen: MarkerSource, frame: Any, depth: Any) -> tuple[Array, list[Flag | None]]:
+    """Motion of the markers in a frame that shows enough of them to make a map."""
+    if isinstance(frame, UnusableFrame):
+        raise frame
+    motion, found = seen.read(frame, depth)
+    left = int(np.isfinite(motion).all(axis=1).sum())
+    if left < FEWEST:
+        raise UnusableFrame(f"{left or 'no'} marker{'s' * (left != 1)} found")
+    return motion, found
 
 
 def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) -> str:
@@ -223,10 +243,16 @@ def _inverted(
     largest = whole.frame(int(np.argmax(np.abs(whole.load).max(axis=1))))
     strained = pad.strained(largest.forces())  # solved for: that of the single frames is read off earlier ones
     others = [flag for flag in whole.flags if flag.code != "LID-W112"]
-    whole = replace(whole, flags=collect([*others, strained, *seen.flags]))
+    whole = replace(whole, flags=collect([*others, strained, *seen.flags, _gap(tracked.skipped)]))
     lost = [int(np.isnan(m[:, 0]).sum()) for m in tracked.motions]
     each = tracked.seconds / tracked.read + seconds / len(found)
-    return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9))
+    return Reconstruction(whole, pad, seen, lost, words, whole.provided["z"], 1 / max(each, 1e-9),
+                          {k: error.what for k, error in tracked.skipped.items()})  # fmt: skip
+
+
+def _gap(skipped: dict[int, UnusableFrame]) -> Flag | None:
+    """W604 of the frames left out."""
+    return guards.skipped(list(skipped), next(iter(skipped.values())).what) if skipped else None
 
 
 def _maps(
@@ -273,6 +299,7 @@ def about(found: Reconstruction) -> list[tuple[str, str]]:
         ("pad", f"{str(found.pad)[4:-1]}, {found.pad.points} nodes"),
         ("reference", seen.reference),
         ("markers", markers(found)),
+        *((("left out", left_out(found)),) if found.skipped else ()),
         ("noise of a marker", seen.noise_words),
         ("normal motion", HOW[found.normal]),
         ("lambda", found.lam),
@@ -290,6 +317,15 @@ def markers(found: Reconstruction) -> str:
     frame = found.lost.index(most)
     mean = sum(found.lost) / len(found.lost)
     return f"{total} found; lost: {mean:.3g} on average, {most} at most ({found.map.frame_name(frame)})"
+
+
+def left_out(found: Reconstruction) -> str:
+    """Frames that told nothing, each reason once."""
+    reasons: dict[str, list[str]] = {}
+    for number, why in found.skipped.items():
+        reasons.setdefault(why, []).append(str(number))
+    told = "; ".join(f"{', '.join(numbers)} ({why})" for why, numbers in reasons.items())
+    return f"{len(found.skipped)} of {len(found.skipped) + len(found.lost)} frames: {told}"
 
 
 def text(found: Reconstruction) -> str:
@@ -318,6 +354,7 @@ def data(found: Reconstruction) -> dict[str, Any]:
         "reference": found.source.reference,
         "markers": len(found.source.markers),
         "lost": found.lost,
+        "skipped": [{"frame": k, "why": why} for k, why in found.skipped.items()],
         "noise": found.source.noise_words,
         "provided": dict(force.provided),
         "lambda": force.facts.lam,

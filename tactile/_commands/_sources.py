@@ -15,11 +15,11 @@ from loadid._inverse.problem import NoiseSource
 from structures._flags import Flag
 from structures.errors import InputError
 
-from .._arrays import Array
+from .._arrays import Array, UnusableFrame
 from .._pad.padfile import DepthKind, SensorFile
 from .._sensors.observation import DepthMap, Markers
 from ..vision._eye import Eye, View
-from ..vision._frames import IMAGES, frames, natural, read_image, read_stack
+from ..vision._frames import IMAGES, each, frames, natural, read_image, read_stack
 from ..vision._motion import MarkerMotion, MarkerMotions, jitter, read_motions
 
 if TYPE_CHECKING:
@@ -170,8 +170,8 @@ def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, all
 # -- images -----------------------------------------------------------------------------------------------------------
 def _images(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
     coming = frames(source)
-    chosen, rest = _unloaded(coming, source.name, settings, unloaded, frames)
-    eye = _eye(settings, pad, chosen.frames[0], chosen.frames, allow)
+    chosen, rest = _unloaded(each(coming), source.name, settings, unloaded, frames)
+    eye = _first_eye(settings, pad, chosen.frames, allow)
     flags = (*coming.flags, *chosen.flags)
     notes = _moved(eye, chosen.frames) if chosen.inside > 1 and unloaded is None else []
     return _seen(eye, rest, eye.read, settings, chosen, coming.count, flags, notes)
@@ -189,6 +189,16 @@ def _eye(settings: SensorFile, pad: Pad, reference: Any, still: list[Any], allow
     return eye
 
 
+def _first_eye(settings: SensorFile, pad: Pad, still: list[Any], allow: tuple[str, ...]) -> Eye:
+    """The eye whose reference is the first of some unloaded frames that shows its markers."""
+    for reference in still[:-1]:
+        try:
+            return _eye(settings, pad, reference, still, allow)
+        except UnusableFrame:
+            continue
+    return _eye(settings, pad, still[-1], still, allow)
+
+
 def _view(settings: SensorFile) -> View:
     if settings.view is None:
         raise InputError("the camera is not described", where=str(settings.path), found="no table [camera]",
@@ -200,6 +210,8 @@ def _view(settings: SensorFile) -> View:
 def _moved(eye: Eye, frames: list[Any]) -> list[str]:
     """Whether frames that nobody called unloaded move: then they were not, and the rest is wrong."""
     last = eye.tracker.step(frames[-1])
+    if not last.tracked[eye.kept].any():
+        return []
     moved = np.abs(np.nanmean(last.moved[eye.kept], axis=0))
     level = eye.noise_px / np.sqrt(max(int(last.tracked.sum()), 1))
     if np.all(moved < MOVED * level):
@@ -301,20 +313,25 @@ def _unloaded(
     if asked is not None and not asked.strip().isdecimal():
         path = Path(asked)
         others = opened(path)
-        listed = list(others)
+        listed = [frame for frame in each(others) if not isinstance(frame, UnusableFrame)]
         _enough(len(listed), settings, f"--unloaded {path}")
         return Unloaded(listed, f"{_frames(len(listed))} of {path}", 0, getattr(others, "flags", ())), coming
     many = int(asked) if asked is not None else FIRST if settings.noise is None else 1
     if many < 1:
         raise InputError("no unloaded frame", where="--unloaded", found=asked, expected="a number >= 1, or a path")
-    first = list(itertools.islice(coming, many))
+    taken: list[Any] = []
+    first: list[Any] = []
+    while len(taken if asked is not None else first) < many and (frame := next(coming, None)) is not None:
+        taken.append(frame)
+        first += [] if isinstance(frame, UnusableFrame) else [frame]
     if not first:
-        raise InputError("there are no frames", where=name)
-    if len(first) < many and asked is not None:
-        raise InputError("the input has fewer frames", where=f"--unloaded {asked}", found=len(first), expected=many)
+        raise taken[0] if taken else InputError("there are no frames", where=name)
+    if len(taken) < many and asked is not None:
+        raise InputError("the input has fewer frames", where=f"--unloaded {asked}", found=len(taken), expected=many)
     _enough(len(first), settings, name)
-    words = f"first {_frames(len(first))} of {name}" if len(first) > 1 else f"first frame of {name}"
-    return Unloaded(first, words, len(first)), itertools.chain(first, coming)
+    words = f"first {_frames(len(taken))} of {name}" if len(taken) > 1 else f"first frame of {name}"
+    words += f", {len(taken) - len(first)} of them unusable" if len(first) < len(taken) else ""
+    return Unloaded(first, words, len(taken)), itertools.chain(taken, coming)
 
 
 def _frames(count: int) -> str:

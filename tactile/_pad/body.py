@@ -14,9 +14,9 @@ from structures._elements.members import Material
 from structures._elements.surfaces import Surface
 from structures._flags import Flag
 from structures._system.structure import Structure
-from structures.errors import InputError, integer, pair, plain, positive, shown
+from structures.errors import InputError, as_array, integer, pair, positive, shown
 
-from .._arrays import PLANE, Array, Index, Mask, shaped
+from .._arrays import MODULUS, PITCH, PLANE, SIDE, THICKNESS, Array, Index, Mask, shaped
 
 if TYPE_CHECKING:
     from .pad import Pad
@@ -112,7 +112,7 @@ def mask(cells: Any) -> PadOutline:
 
     Raises `InputError`: if it is no table of truth values.
     """
-    found = np.asarray(plain(cells))
+    found = as_array(cells, where="outline.mask")
     if found.ndim != 2 or found.dtype != bool:
         raise InputError(
             "no mask of cells", where="outline.mask", found=f"{found.dtype} {found.shape}",
@@ -244,6 +244,21 @@ def sides(size: Any) -> tuple[float, float]:
     """Both sides, two positive numbers."""
     a, b = pair("size", size, where="Pad", unit="m")
     return positive("a side", a, where="Pad, size", unit="m"), positive("a side", b, where="Pad, size", unit="m")
+
+
+def of_a_pad(pad: Pad) -> None:
+    """Refuse what no gel pad measures, as another unit makes it; the sides of a mesh are 0 until it is built."""
+    if pad.material != "elastomer":
+        return
+    hint = 'of another body than a gel pad material="..." says the name'
+    MODULUS.positive("E", pad.E, where="Pad, E", hint=hint)
+    for side in pad.size if pad.mesh is not None else sides(pad.size):
+        if side:
+            SIDE.positive("a side", side, where="Pad, size", hint=hint)
+    if pad.thickness or pad.mesh is None:
+        THICKNESS.positive("the thickness", pad.thickness, where="Pad", hint=hint)
+    if pad.pitch is not None:
+        PITCH.positive("the pitch", pad.pitch, where="Pad", hint=hint)
 
 
 def divisions(size: tuple[float, float], thickness: float, pitch: Any, elements: Any) -> tuple[int, int]:

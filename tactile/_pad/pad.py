@@ -31,7 +31,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._closed.layer import Layer
 from . import meshfiles
-from .body import Body, edges, extruded, locking_allowed, polygon, rectangle
+from .body import Body, edges, extruded, locking_allowed, of_a_pad, polygon, rectangle
 from .meshfiles import MeshFile
 from .padfile import SensorFile, read
 from .stiffness import Loaded
@@ -316,7 +316,8 @@ class Pad(Loaded):
     density : float
         kg/m^3; static maps do not ask for it.
     material : str
-        ``"elastomer"`` questions a modulus that none has (W111); another word does not.
+        ``"elastomer"`` questions a modulus that none has (W111), and refuses what is of another scale than any gel pad,
+        as another unit makes it; another word does not.
     allow : sequence of str
         ``("E109",)``: plain bricks above nu = 0.49, flagged; ``("W115",)``: few layers that were compared with many.
     mesh : optional
@@ -369,12 +370,14 @@ class Pad(Loaded):
             object.__setattr__(self, name, value)
 
         material = Material(E=self.E, rho=self.density, nu=self.nu)
+        of_a_pad(self)
         fix("allow", (self.allow,) if isinstance(self.allow, str) else tuple(self.allow))
         if self.counts is not None:
             guards.published(self.counts, self.layers)
         body = rectangle(self, material) if self.mesh is None else self._meshed(material)
         for name, value in body.dimensions.items():
             fix(name, value)
+        of_a_pad(self)
         fix("structure", body.structure)
         fix("_levels", body.levels)
         fix("surface", body.surface)

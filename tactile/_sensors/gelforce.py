@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures._flags import Flag
-from structures.errors import InputError, plain
+from structures.errors import InputError, reals
 
 from .. import _guards as guards
 from .._arrays import PLANE, Array, shaped
@@ -103,7 +103,7 @@ class GelForce(LinearSensor):
         ``|H^+ R^(1/2)|_F / |f|``: what decides is the depth of the markers in units of the pitch of the forces.
         """
         spread = np.array([c.noise for c in self.model.sensors])
-        f = np.asarray(plain(forces), float).ravel()
+        f = reals(forces, where="GelForce, forces").ravel()
         values = np.linalg.svd(self.model.H / spread[:, None], compute_uv=False)
         return float(np.sqrt(np.sum(1 / values**2)) / np.linalg.norm(f))
 

@@ -23,7 +23,7 @@ from structures._flags import Flag
 from structures.errors import InputError, digest
 
 from .. import _guards as guards
-from .._arrays import Array, Index, Mask
+from .._arrays import Array, Index, Mask, settled_depth
 from .._closed.contact import Indenter
 from .._pad.stiffness import Completion, surface_stiffness
 from .._results.forcemap import ForceFacts, ForceMap
@@ -142,7 +142,7 @@ class GelSlim(MarkedSensor):
         InputError
             If neither markers, depth nor an indenter give the normal motion, or readings do not fit.
         """
-        y, flags = self._readings(found, depth)
+        y, flags = self._of_frame(found, depth, wrench)
         motion = y[: self.markers.readings_count].reshape(len(self.markers), -1)
         seen = np.asarray(np.isfinite(motion).all(axis=1))
         field = self._interpolation(seen)
@@ -153,6 +153,9 @@ class GelSlim(MarkedSensor):
         return self._map(answer, U, completion, flags, seen, field, how, wrench)
 
     # -- steps --------------------------------------------------------------------------------------------------------
+    def _gel(self) -> Pad:
+        return self.pad
+
     def _interpolation(self, seen: Mask) -> Interpolation:
         points = self.markers.points[seen, :2]
         return _kept(
@@ -173,6 +176,7 @@ class GelSlim(MarkedSensor):
             return np.where(field.inside, field.W @ motion[seen, 2], np.nan), "tracked"
         if indenter is not None:
             z, inside = indenter.normal(self.pad.nodes2d)
+            settled_depth(float(z.min()), 0.0, self.pad.thickness)
             return np.where(inside, z, np.nan), "completed"
         raise InputError(
             "the normal motion is not known", where="estimate", found="in-plane markers alone",

@@ -26,7 +26,7 @@ from .._arrays import Array, Mask
 from .._results.forcemap import ForceFacts, ForceMap
 from .fixed import QuickMap, whole_motion
 from .inversion import Inverse, Pressed, prepare
-from .marked import ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
+from .marked import FEWEST, ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
 from .posing import (
     PadModel,
@@ -48,9 +48,6 @@ if TYPE_CHECKING:
 
     from .._pad.pad import Pad
     from ..vision._eye import Eye
-
-
-FEWEST = 3  # markers of a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,14 +148,7 @@ class LinearSensor(MarkedSensor):
         NotIdentifiable
             What neither readings nor penalty determine.
         """
-        y, flags = self._readings(found, depth)
-        count = self.markers.readings_count
-        left = int(np.sum(np.isfinite(y[:count]))) // len(self.markers.axes)
-        if left < FEWEST:
-            raise InputError(
-                "too few markers are left in this frame", where="frame", found=left, expected=f"at least {FEWEST}",
-                hint="look at the image: light, focus, occlusion",
-            )  # fmt: skip
+        y, flags = self._of_frame(found, depth, wrench)
         return self._at_once(y, wrench, flags) if self.frozen else self._thorough(y, wrench, flags)
 
     def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
@@ -172,6 +162,8 @@ class LinearSensor(MarkedSensor):
             Without frames, or if too few markers are seen in all of them.
         """
         listed = self._listed(frames, depths)
+        for y in listed:
+            self._require_depth(y)
         whole = [y for y in listed if np.all(np.isfinite(y))]
         listed = whole or listed
         seen: Mask = np.zeros(len(self.model.sensors), bool)
@@ -430,6 +422,9 @@ class MultilayerPad(LinearSensor):
                         {"pad": repr(pad), "markers": len(given)}),
             given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), **settings,
         )  # fmt: skip
+
+    def _gel(self) -> Pad:
+        return self.pad
 
     def _checked(self, load: Array) -> list[Flag | None]:
         return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]

@@ -7,25 +7,32 @@ from __future__ import annotations
 
 import functools
 import inspect
+import logging
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from itertools import zip_longest
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loadid._inverse.problem import NoiseSourceLike
+from loadid.codes import collect
 from structures._flags import Flag
-from structures.errors import InputError, plain, positive
+from structures.errors import InputError, as_array, pair, positive
 
-from .._arrays import Array, Index
+from .. import _guards as guards
+from .._arrays import CONTACT, SIDE, THICKNESS, Array, Index, UnusableFrame, settled_depth
 from .._results.forcemap import ForceMap
-from .observation import DepthMap, Depths, Markers
+from ..vision._frames import Frames, each
+from .observation import DepthMap, Depths, Markers, Wrench
 
 if TYPE_CHECKING:
+    from .._pad.pad import Pad
     from ..vision._eye import Eye
+
+FEWEST = 3  # markers of a frame
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +79,7 @@ class ContactLaw:
         """
         if self.support is None:
             return None
-        given = np.asarray(plain(self.support))
+        given = as_array(self.support, where="support")
         mask = given.dtype == bool
         nodes = np.flatnonzero(given) if mask else np.unique(given)
         known = given.dtype.kind in "iu" and np.all((nodes >= 0) & (nodes < points))
@@ -100,6 +107,14 @@ class Extent:
     thickness: float | None = None
     contact_radius: float | None = None
     size: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.thickness is not None:
+            THICKNESS.positive("the thickness", self.thickness, where="Extent")
+        if self.contact_radius is not None:
+            CONTACT.positive("the contact radius", self.contact_radius, where="Extent")
+        for side in () if self.size is None else pair("size", self.size, where="Extent", unit="m"):
+            SIDE.positive("a side", side, where="Extent, size")
 
 
 class InversionSettings(TypedDict, total=False):
@@ -219,19 +234,12 @@ class MarkedSensor:
         """Force map of one frame."""
         raise NotImplementedError
 
-    def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> Iterator[ForceMap]:
-        """Force maps of frames, one after another, as they come."""
-        if depths is None:
-            yield from (self.estimate(frame) for frame in frames)
-            return
-        end = object()
-        for i, (frame, depth) in enumerate(zip_longest(frames, depths, fillvalue=end)):
-            if frame is end or depth is end:
-                raise InputError(
-                    "frames and depth maps do not go together", where=f"frame {i}",
-                    found=f"no {'frame' if frame is end else 'depth map'} {i}", expected="one depth map for each frame",
-                )  # fmt: skip
-            yield self.estimate(frame, depth)  # type: ignore[arg-type]
+    def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> ForceStream:
+        """Force maps of frames, one after another, as they come; dead frames are left out, see `ForceStream`.
+
+        `frames` are images or motions, as `estimate` takes them, or `tactile.frames(...)` of a folder, video or camera.
+        """
+        return ForceStream(self, frames, depths)
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean of unloaded frames as zero. Returns the sensor.
@@ -252,14 +260,45 @@ class MarkedSensor:
 
     def readings(self, found: ArrayLike, depth: DepthMap | None = None) -> Array:
         """Readings (m,) of a frame, markers first, zero taken off; NaN where lost."""
-        return self._readings(found, depth)[0]
+        y = self._readings(found, depth)[0]
+        self._require_depth(y)
+        return y
 
     def _listed(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None) -> list[Array]:
-        return [self.readings(f, None if depths is None else depths[i]) for i, f in enumerate(frames)]
+        return [self._readings(f, None if depths is None else depths[i])[0] for i, f in enumerate(frames)]
+
+    def _gel(self) -> Pad | None:
+        """The pad, where there is one that has a base and edges."""
+        return None
+
+    def _of_frame(
+        self, found: ArrayLike, depth: DepthMap | None, wrench: Wrench | None
+    ) -> tuple[Array, list[Flag | None]]:
+        """Readings of a frame of which something is seen, and what was found on the way."""
+        y, flags = self._readings(found, depth)
+        self._require_depth(y)
+        pad = self._gel()
+        if wrench is not None and pad is not None and pad.material == "elastomer":
+            wrench.require_scale(pad.E, pad.nu, pad.size, pad.thickness)
+        left = int(np.sum(np.isfinite(y[: self.markers.readings_count]))) // len(self.markers.axes)
+        if left < FEWEST:
+            raise UnusableFrame(
+                "too few markers are left in this frame", where="frame", found=left, expected=f"at least {FEWEST}",
+                hint="look at the image: light, focus, occlusion",
+            )  # fmt: skip
+        return y, flags
+
+    def _require_depth(self, y: Array) -> None:
+        """Refuse a depth map that no press makes of the pad."""
+        pad, deep = self._gel(), y[self.markers.readings_count :]
+        if pad is not None and self.depth is not None and np.isfinite(deep).any():
+            settled_depth(float(np.nanmin(deep)), float(np.nanmax(deep)), pad.thickness, self.depth.noise)
 
     def _readings(self, found: ArrayLike, depth: DepthMap | None) -> tuple[Array, list[Flag | None]]:
         """Readings, NaN where there is none, and what was found on the way."""
-        seen: Any = np.asarray(plain(found))
+        if found is None:
+            raise UnusableFrame("no image", where="frame", found="nothing", expected="an image, or motion of markers")
+        seen: Any = as_array(found, where="frame")
         flags: list[Flag | None] = []
         count = len(self.markers)
         _refuse_turned(seen, count)
@@ -277,6 +316,78 @@ class MarkedSensor:
         elif depth is not None and self.eye is None:
             raise not_built_for_depth()
         return np.concatenate(parts) - self._offset, flags
+
+
+class ForceStream:
+    """Force maps of frames as they come: an iterator.
+
+    A frame that tells nothing (black, saturated, of another size, unreadable, None, fewer than three markers) has no
+    map: nothing is held or invented for it. The next map says so by W604 and names it, and so do `skipped` and the log.
+    Frames of which none is answered end in the error of the first.
+
+    Attributes
+    ----------
+    number : int
+        Of the frame that was read last, from 1: after a map, its own.
+    time : float or None
+        Its stamp (s), where the source has one.
+    skipped : tuple of int
+        Numbers of the frames that were left out.
+    """
+
+    def __init__(self, sensor: MarkedSensor, frames: Iterable[Any], depths: Iterable[DepthMap] | None) -> None:
+        self._sensor, self._source = sensor, frames
+        self._frames = each(frames)
+        self._depths = None if depths is None else iter(depths)
+        self._lost: list[int] = []
+        self._first: InputError | None = None
+        self._answered = False
+        self.number = 0
+        self.time: float | None = None
+
+    @property
+    def skipped(self) -> tuple[int, ...]:
+        """Numbers of the frames that were left out, from 1."""
+        return tuple(self._lost)
+
+    def __iter__(self) -> ForceStream:
+        return self
+
+    def __next__(self) -> ForceMap:
+        before, why = len(self._lost), ""
+        while True:
+            frame, depth = self._pair()
+            try:
+                if isinstance(frame, UnusableFrame):
+                    raise frame
+                found = self._sensor.estimate(frame, depth)
+            except UnusableFrame as error:
+                self._first, why = self._first or error, why or error.what
+                self._lost.append(self.number)
+                _LOG.warning("frame %d left out: %s", self.number, error)
+                continue
+            self._answered = True
+            gap = guards.skipped(self._lost[before:], why)
+            return found if gap is None else replace(found, flags=collect([*found.flags, gap]))
+
+    def _pair(self) -> tuple[Any, DepthMap | None]:
+        """The next frame and its depth map; both sources end together."""
+        end: Any = object()
+        frame = next(self._frames, end)
+        depth = None if self._depths is None else next(self._depths, end)
+        if frame is end and (depth is end or depth is None):
+            if self._first is not None and not self._answered:
+                raise self._first
+            raise StopIteration
+        if frame is end or depth is end:
+            raise InputError(
+                "frames and depth maps do not go together", where=f"frame {self.number + 1}",
+                found=f"no {'frame' if frame is end else 'depth map'} {self.number + 1}",
+                expected="one depth map for each frame",
+            )  # fmt: skip
+        self.number += 1
+        self.time = self._source.time if isinstance(self._source, Frames) else None
+        return frame, depth
 
 
 def observed(markers: Markers | ArrayLike | None, eye: Eye | None) -> Markers:

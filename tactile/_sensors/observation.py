@@ -13,9 +13,9 @@ from scipy import sparse
 
 from structures._advice import Advice, Spelling
 from structures._channels import Channel
-from structures.errors import InputError, one_of, plain, positive
+from structures.errors import InputError, one_of, pair, plain
 
-from .._arrays import PLANE, SPACE, Array, Index, Mask, shaped
+from .._arrays import JITTER, MOTION, NOISE, PIXEL, PLACE, PLANE, SPACE, Array, Index, Mask, shaped, squashed
 
 HALF = 0.5  # share of a window's pixels that must be there
 
@@ -47,8 +47,9 @@ class DepthMap:
         if values.shape[1] < 2:
             raise InputError("no depth map", where="DepthMap", found=f"shape {values.shape}", expected="(H, W)")
         object.__setattr__(self, "values", values)
-        positive("the pixel", self.pixel, where="DepthMap", unit="m")
-        positive("the noise", self.noise, where="DepthMap", unit="m")
+        object.__setattr__(self, "centre", pair("centre", self.centre, where="DepthMap", unit="m"))
+        PIXEL.positive("the pixel", self.pixel, where="DepthMap")
+        NOISE.positive("the noise", self.noise, where="DepthMap")
 
     @property
     def axes(self) -> tuple[Array, Array]:
@@ -60,7 +61,7 @@ class DepthMap:
         """Motion at points (n, 2), bilinear; NaN outside and beside missing pixels."""
         from scipy.ndimage import map_coordinates
 
-        points = np.asarray(plain(points), float)
+        points = shaped(points, PLANE, where="DepthMap, points", lost=True)
         y, x = self.axes
         where = np.array([(points[:, 1] - y[0]) / self.pixel, (points[:, 0] - x[0]) / self.pixel])
         return np.asarray(map_coordinates(self.values, where, order=1, mode="constant", cval=np.nan))
@@ -152,6 +153,21 @@ class Wrench:
             raise InputError("the stds do not fit what was measured", where="Wrench", found=self.std,
                              expected=f"{len(self.value)} numbers > 0")  # fmt: skip
 
+    def require_scale(self, E: float, nu: float, size: tuple[float, float], thickness: float) -> None:
+        """Refuse what no pad of this modulus (Pa), Poisson's ratio, size and thickness (m) bears."""
+        most = squashed(E, nu, size, thickness)
+        arm = float(np.hypot(*size))
+        for name, value, limit, unit, others in (
+            ("force", self.force, most, "N", (("mN", 1e-3), ("grams", 9.81e-3))),
+            ("torque", self.torque, most * arm, "N m", (("N mm", 1e-3),)),
+        ):
+            if value is not None and (large := float(np.abs(value).max())) > limit:
+                typed = " or ".join(f"{f * large:.3g} {unit} if it was given in {other}" for other, f in others)
+                raise InputError(
+                    f"a {name} that would press the whole pad flat", where="wrench", found=f"{large:.4g} {unit}",
+                    expected=f"less than {limit:.3g} {unit}", hint=f"convert it: it is {typed}",
+                )  # fmt: skip
+
     @property
     def value(self) -> Array:
         """Force, and torque where it was measured, (3,) or (6,)."""
@@ -195,6 +211,7 @@ class Markers:
         points = shaped(
             self.points, PLANE, SPACE, where="markers", what="no markers, or too few markers", fewest=FEWEST, hint=hint
         )
+        PLACE.inside("a place", float(np.abs(points).max()), where="markers")
         one_of("no axes of a motion", self.axes, ("XY", "XYZ"), where="axes")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "noise", self._spread(points))
@@ -215,6 +232,7 @@ class Markers:
             noise = noise[:, None]
         if not np.all(noise > 0):
             raise InputError(what, where="markers, noise", found=noise.min(), expected="stds > 0", hint=hint)
+        JITTER.inside("the noise", float(noise.max()), where="markers, noise")
         return np.broadcast_to(noise, (count, axes)).copy()
 
     def __len__(self) -> int:
@@ -263,7 +281,26 @@ class Markers:
             hint="one row per marker in m, in the order in which the sensor was built, NaN where one is lost",
         )  # fmt: skip
         found = found[:, :axes]
+        self._require_scale(found)
         return np.where(np.isnan(found).any(axis=1, keepdims=True), np.nan, found).ravel()
+
+    @cached_property
+    def _extent(self) -> float:
+        """Longer side of the rectangle around the markers (m)."""
+        return float(np.ptp(self.points[:, :2], axis=0).max())
+
+    def _require_scale(self, motion: Array) -> None:
+        """Refuse motion (N, axes) of which half is longer than the whole pattern, as that of one in mm is."""
+        size = np.abs(motion)
+        if np.nanmax(size, initial=0.0) <= self._extent:
+            return
+        middle = float(np.median(size[np.isfinite(size).all(axis=1)].max(axis=1)))
+        if middle > self._extent:
+            raise InputError(
+                "the markers move farther than their pattern is wide", where="displacements",
+                found=f"{middle:.4g} m for half of them", expected=f"less than {self._extent:.3g} m",
+                hint=f"{MOTION.likely(middle)}; motion from rest is meant, no places",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +337,11 @@ class Depths:
         """A sensor for each window; those that overlap share pixels, and count for less."""
         spread = self.averaging.std(self.template.noise) * self.overlap
         return [Channel(label=f"z{i}", quantity="displacement", unit="m", noise=float(s)) for i, s in enumerate(spread)]
+
+    @cached_property
+    def noise(self) -> float:
+        """Largest std of a mean (m)."""
+        return float(self.averaging.std(self.template.noise).max())
 
     @cached_property
     def overlap(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loadid.validate import Known
-from structures.errors import InputError, number, one_of, plain, positive
+from structures.errors import InputError, as_array, number, one_of, positive
 
 from .._arrays import Array, Index, Mask, shaped
 
@@ -324,7 +324,7 @@ Split = tuple[Array, Array, Array, list[Mask], Mask]
 def _split(found: Any, truth: Any, labels: ArrayLike | None, areas: ArrayLike | None) -> Split:
     """Estimate, truth, weights, the patches, and what lies outside."""
     a, b = pair(found, truth)
-    own = patches(b) if labels is None else np.asarray(plain(labels))
+    own = patches(b) if labels is None else as_array(labels, where="metrics, labels")
     if own.shape != (len(a),) or own.dtype.kind not in "iub" or (own < 0).any():
         raise InputError(
             "labels of the patches do not fit the map",

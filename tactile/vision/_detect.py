@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from structures._advice import Advice, Spelling
 from structures.errors import InputError, one_of, positive
 
-from .._arrays import Array, Index, Mask
+from .._arrays import Array, Index, Mask, UnusableFrame
 from ._images import Backend, Grey, Image, backend, grey
 
 BLUR = 0.8  # standard deviation of the smoothing over the radius of a dot
@@ -286,7 +286,7 @@ def size_of_dots(
         return r, positive("pitch", pitch, where=where)
     found = Detector(r, WINDOW * r, dark, backend=backend)(picture)
     if len(found.points) < 3:
-        raise InputError(
+        raise UnusableFrame(
             "no pattern of dots in the image", where=where,
             found=f"{len(found.points)} {'dark' if dark else 'bright'} dots", expected="at least three",
             hint=Advice(BRIGHT, SIZE),
@@ -302,7 +302,7 @@ def best_radius(image: Any, *, dark: bool = True, backend: str | None = None) ->
     answers = np.array([_answer(picture, float(r), dark, backend) for r in radii])
     best = int(np.argmax(answers))
     if answers[best] <= 0:
-        raise InputError("no dots stand out of the noise", where="image", hint=Advice(BRIGHT))
+        raise UnusableFrame("no dots stand out of the noise", where="image", hint=Advice(BRIGHT))
     if 0 < best < len(radii) - 1:  # parabola over log r
         a, b, c = answers[best - 1 : best + 2]
         return float(radii[best] * STEPS ** (0.5 * (c - a) / (2 * b - a - c)))

@@ -17,7 +17,7 @@ from structures._advice import Advice, Spelling
 from structures._flags import Flag
 from structures.errors import InputError, number, pair, positive, reals
 
-from .._arrays import Array, shaped
+from .._arrays import DISTANCE, PLACE, SIDE, Array, shaped
 from .._guards import RAYS, not_tangential, tangential
 from ._rays import Homography, Parallel, Window, bend, fitted
 from ._tracker import MarkerTracker
@@ -160,7 +160,7 @@ class View:
             Turn of the camera about its axis, rad.
         """
         beta = float(bend(number("tilt", tilt, where="camera", unit="rad"), gamma))
-        run = positive("distance", distance, where="camera", unit="m") * np.tan(tilt) + depth * np.tan(beta)
+        run = DISTANCE.positive("distance", distance, where="camera") * np.tan(tilt) + depth * np.tan(beta)
         eye = (-run * np.cos(azimuth), -run * np.sin(azimuth))
         window = Window(eye, distance, depth, gamma)
         middle = pair("centre", centre, where="camera", unit="px")
@@ -321,9 +321,13 @@ class Eye:
         **tracking: Any,
     ) -> None:
         self.view = view
+        for side in () if size is None else pair("size", size, where="Eye", unit="m"):
+            SIDE.positive("a side", side, where="Eye, size")
         self.flags = [tangential(view.knows_rays, True, allow=allow)]
         self.tracker = MarkerTracker(reference, **tracking)
         places = view.to_pad(self.tracker.points)
+        what = "View.homography(matrix, unit=1e-3) takes one from mm"
+        PLACE.inside("a place of a marker", float(np.nanmax(np.abs(places))), where="Eye, view", hint=what)
         inside = np.ones(len(places), bool) if size is None else np.all(np.abs(places) < np.asarray(size) / 2, axis=1)
         self.kept = np.flatnonzero(inside)
         self.noise_px = self._jitter(unloaded, noise)

@@ -1,4 +1,4 @@
-"""Frames from wherever they are: folders of images, NPY and NPZ stacks, video files, any iterator of arrays."""
+"""Frames from wherever they are: folders of images, NPY and NPZ stacks, videos, cameras, any iterator of arrays."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import numpy as np
 
 from structures._advice import Advice, Spelling
 from structures._flags import Flag
-from structures.errors import InputError
+from structures.errors import InputError, whole
 
+from .._arrays import UnusableFrame
 from .._guards import lossy, missing_frames
 from ._images import Grey, grey, installed, opencv
 
@@ -74,26 +75,82 @@ def _checked(array: np.ndarray, path: Path) -> np.ndarray:
 LOSSLESS = ("FFV1", "HFYU", "FFVH", "DIB ", "RGBA", "I420", "YV12", "Y800", "GREY", "RAW ", "\0\0\0\0", "ULRG", "LAGS")
 
 
-def open_video(path: Path) -> tuple[Iterator[np.ndarray], int | None, tuple[Flag, ...]]:
-    """Frames (H, W, 3) with red first, their number where the file states it, and W406 for a lossy codec.
+GONE = 10  # reads of a camera without a frame, one after another, from which on it is taken for gone
 
-    While iterating, a video that ends early is refused.
+
+class Capture:
+    """Frames (H, W, 3) of an OpenCV capture, red first, a file or a camera: an iterator.
+
+    `count` is the number that a file states, None of a camera; `time` the stamp (s) of the last frame, None where the
+    source gives none. A file that ends early is refused; a frame that a camera fails to give is an `UnusableFrame`, ten
+    of them one after another are its end.
     """
-    if not installed():
-        raise InputError(
-            "a video needs OpenCV",
-            where=str(path),
-            hint='pip install "loadid[vision]"; or export the frames as PNG images into a folder',
-        )
+
+    def __init__(self, cv2: Any, capture: Any, name: str, *, owned: bool) -> None:
+        self._cv2, self._capture, self._name, self._owned = cv2, capture, name, owned
+        stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        self.count = stated if stated > 0 else None
+        self._read = self._delivered = self._failed = 0
+        self._over = False
+        self.time: float | None = None
+
+    @property
+    def flags(self) -> tuple[Flag, ...]:
+        """W406 for a lossy codec."""
+        if self.count is None:
+            return ()
+        four = int(self._capture.get(self._cv2.CAP_PROP_FOURCC))
+        codec = four.to_bytes(4, "little", signed=False).decode("latin-1")
+        return () if codec.upper() in LOSSLESS else (lossy(codec),)
+
+    def __iter__(self) -> Capture:
+        return self
+
+    def __next__(self) -> np.ndarray:
+        if self._over:
+            raise StopIteration
+        there, image = self._capture.read()
+        self._read += 1
+        if not there:
+            raise self._ended()
+        self._delivered, self._failed = self._delivered + 1, 0
+        stamp = float(self._capture.get(self._cv2.CAP_PROP_POS_MSEC))
+        self.time = 1e-3 * stamp if stamp > 0 or (stamp == 0 and self._delivered == 1 and self.count) else None
+        return np.asarray(image if image.ndim == 2 else image[..., ::-1])
+
+    def _ended(self) -> Exception:
+        """What a read without a frame means."""
+        where, self.time = f"{self._name}: frame {self._read}", None
+        if self.count is None and self._read == 1 and not self._capture.isOpened():
+            self._close()
+            return InputError("the capture is not open", where=self._name, hint="look at its index and its cable")
+        if self.count is None and self._failed + 1 < GONE and self._capture.isOpened():
+            self._failed += 1
+            return UnusableFrame("the camera gave no frame", where=where, hint="look at its cable and the light")
+        self._close()
+        if self.count is None:
+            return InputError(
+                "the camera gives no more frames", where=where, found=f"{self._delivered} frames, then {GONE} failures",
+                hint="look at its cable, and at what else uses it; the frames before may be used",
+            )  # fmt: skip
+        if self._delivered and self._delivered >= self.count - 1:  # a container without an index may state one too many
+            return StopIteration()
+        return InputError(
+            "the video ends early", where=where, found=f"{self._delivered} frames",
+            expected=f"{self.count} frames, as the file states",
+            hint="transfer it again; the frames before may be used",
+        )  # fmt: skip
+
+    def _close(self) -> None:
+        self._over = True
+        if self._owned:
+            self._capture.release()
+
+
+def open_video(path: Path) -> Capture:
+    """Frames of a video file."""
+    _require_opencv("a video", str(path), "; or export the frames as PNG images into a folder")
     cv2 = opencv()
-    capture = _opened(cv2, path)
-    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=False).decode("latin-1")
-    flags = () if codec.upper() in LOSSLESS else (lossy(codec),)
-    return _images(cv2, capture, path, count), count if count > 0 else None, flags
-
-
-def _opened(cv2: Any, path: Path) -> Any:
     with _quiet(cv2):
         capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
@@ -102,7 +159,26 @@ def _opened(cv2: Any, path: Path) -> Any:
             expected="a video that OpenCV can decode",
             hint="convert it with ffmpeg, or export its frames as PNG images into a folder",
         )  # fmt: skip
-    return capture
+    return Capture(cv2, capture, str(path), owned=True)
+
+
+def open_camera(index: int) -> Capture:
+    """Frames of a camera by its number."""
+    _require_opencv("a camera", f"camera {index}", "; or pass an iterable of images")
+    cv2 = opencv()
+    with _quiet(cv2):
+        capture = cv2.VideoCapture(index)
+    if not capture.isOpened():
+        raise InputError(
+            "the camera cannot be opened", where=f"camera {index}", expected="the number of a camera, from 0",
+            hint="look at its cable, at rights on its device and at what else uses it",
+        )  # fmt: skip
+    return Capture(cv2, capture, f"camera {index}", owned=True)
+
+
+def _require_opencv(what: str, where: str, otherwise: str) -> None:
+    if not installed():
+        raise InputError(f"{what} needs OpenCV", where=where, hint=f'pip install "loadid[vision]"{otherwise}')
 
 
 @contextlib.contextmanager
@@ -120,25 +196,6 @@ def _quiet(cv2: Any) -> Iterator[None]:
         logs.setLogLevel(level)
 
 
-def _images(cv2: Any, capture: Any, path: Path, count: int) -> Iterator[np.ndarray]:
-    delivered = 0
-    try:
-        while True:
-            there, image = capture.read()
-            if not there:
-                break
-            delivered += 1
-            yield image if image.ndim == 2 else image[..., ::-1]
-    finally:
-        capture.release()
-    if delivered == 0 or delivered < count - 1:  # a container without an index may state one too many
-        raise InputError(
-            "the video ends early", where=f"{path}: frame {delivered + 1}", found=f"{delivered} frames",
-            expected=f"{count} frames, as the file states" if count > 0 else "at least one",
-            hint="transfer it again; the frames before may be used",
-        )  # fmt: skip
-
-
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm")
 VIDEOS = (".avi", ".mp4", ".mkv", ".mov", ".m4v", ".mpg", ".mpeg", ".webm", ".wmv")
 NUMBERS = re.compile(r"(\d+)")
@@ -147,8 +204,8 @@ NUMBERS = re.compile(r"(\d+)")
 class Frames:
     """Grey frames of one size, one after the other.
 
-    An iterator of uint8 images (H, W); a frame that cannot be read, or has another size than the first, raises an error
-    that names it.
+    An iterator of uint8 images (H, W). A frame that cannot be read, or has another size than the first, raises an error
+    that names it; the next call goes on with the frame after it.
 
     Attributes
     ----------
@@ -158,6 +215,8 @@ class Frames:
         Number of frames, where it is known before they are read.
     delivered : int
         Frames given so far.
+    time : float or None
+        Stamp (s) of the last frame, where the source has one: of a video from its start, of a camera by its own clock.
     """
 
     def __init__(
@@ -166,29 +225,57 @@ class Frames:
         self._images = iter(images)
         self._name = name
         self._size: tuple[int, ...] | None = None
+        self._unusable = 0
         self.count, self.flags, self.delivered = count, tuple(flags), 0
+
+    @property
+    def time(self) -> float | None:
+        """Stamp (s) of the last frame, where the source has one."""
+        return self._images.time if isinstance(self._images, Capture) else None
 
     def __iter__(self) -> Iterator[Grey]:
         return self
 
     def __next__(self) -> Grey:
-        where = f"{self._name}: frame {self.delivered + 1}"
+        try:
+            found = self._next(f"{self._name}: frame {self.delivered + self._unusable + 1}")
+        except UnusableFrame:
+            self._unusable += 1
+            raise
+        self.delivered += 1
+        return found
+
+    def _next(self, where: str) -> Grey:
         try:
             image = next(self._images)
         except StopIteration:
-            if self.delivered == 0:
+            if self.delivered + self._unusable == 0:
                 raise InputError("there are no frames", where=self._name) from None
             raise
         found = grey(image, where=where)
         self._size = self._size or found.shape
         if found.shape != self._size:
-            raise InputError(
+            raise UnusableFrame(
                 "a frame of another size", where=where, found=f"{found.shape[1]} x {found.shape[0]} px",
                 expected=f"{self._size[1]} x {self._size[0]} px, as the first",
                 hint="frames of one camera at one setting make a sequence: split it where the size changes",
             )  # fmt: skip
-        self.delivered += 1
         return found
+
+
+def each(source: Iterable[Any]) -> Iterator[Any]:
+    """Every frame of a source; in the place of one that cannot be used, the error that says why."""
+    coming = iter(source)
+    while True:
+        try:
+            frame = next(coming)
+        except StopIteration:
+            return
+        except UnusableFrame as error:
+            if not isinstance(coming, Frames | Capture):
+                raise  # any other iterator is over once it has raised
+            frame = error
+        yield frame
 
 
 def frames(source: Any, *, key: str | None = None) -> Frames:
@@ -196,9 +283,10 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
 
     Parameters
     ----------
-    source : path, array or iterable
+    source : path, array, number of a camera, cv2.VideoCapture or iterable
         Folder of images (PNG, JPEG, BMP, TIFF, PGM), taken in the natural order of their names; one image; NPY or NPZ
-        file with an array (T, H, W), (T, H, W, 3) or one image; video file (needs OpenCV); array of these shapes; any
+        file with an array (T, H, W), (T, H, W, 3) or one image; video file (needs OpenCV); array of these shapes; a
+        camera by its number, 0 the first, or a capture that is open, which stays yours to release (need OpenCV); any
         iterable of images.
     key : str, optional
         Array of an NPZ file; needed where several could be frames.
@@ -215,9 +303,13 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
         return _from_stack(source, "array")
     if isinstance(source, Frames):
         return source
+    if whole(source) is not None:
+        return _from_capture(open_camera(int(source)), f"camera {source}")
+    if type(source).__module__.partition(".")[0] == "cv2":
+        return _from_capture(Capture(opencv(), source, "capture", owned=False), "capture")
     if not isinstance(source, Iterable):
         raise InputError(
-            "no frames", where="frames", found=type(source).__name__, expected="a path, an array or an iterable"
+            "no frames", where="frames", found=type(source).__name__, expected="a path, array, camera or iterable"
         )
     return Frames(source)
 
@@ -231,8 +323,7 @@ def _from_path(path: Path, key: str | None) -> Frames:
     if suffix in (".npy", ".npz"):
         return _from_stack(read_stack(path, key), path.name)
     if suffix in VIDEOS:
-        images, count, flags = open_video(path)
-        return Frames(images, name=path.name, count=count, flags=flags)
+        return _from_capture(open_video(path), path.name)
     if suffix in IMAGES:
         return Frames([read_image(path)], name=path.name, count=1)
     raise InputError(
@@ -241,13 +332,16 @@ def _from_path(path: Path, key: str | None) -> Frames:
     )  # fmt: skip
 
 
+def _from_capture(capture: Capture, name: str) -> Frames:
+    return Frames(capture, name=name, count=capture.count, flags=capture.flags)
+
+
 def _from_folder(folder: Path) -> Frames:
     files = sorted((p for p in folder.iterdir() if p.suffix.lower() in IMAGES), key=natural)
     if not files:
         raise InputError("the folder holds no images", where=str(folder), expected=f"files {', '.join(IMAGES)}")
     flag = missing_frames(missing_numbers([p.stem for p in files]), folder.name)
-    images = (read_image(path) for path in files)
-    return Frames(images, name=folder.name, count=len(files), flags=(flag,) if flag else ())
+    return Frames(map(read_image, files), name=folder.name, count=len(files), flags=(flag,) if flag else ())
 
 
 def _from_stack(array: np.ndarray, name: str) -> Frames:
@@ -270,7 +364,7 @@ def read_image(path: Path) -> np.ndarray:
                 np.asarray(image) if sixteen or image.mode in ("L", "RGB", "RGBA") else np.asarray(image.convert("RGB"))
             )
     except Exception as error:  # a damaged file may raise anything in a decoder
-        raise InputError(
+        raise UnusableFrame(
             "the image cannot be read", where=str(path), found=str(error)[:200], hint="copy or export it again"
         ) from None
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, as_array, number, one_of, plain, positive
 
-from .._arrays import PLANE, SPACE, Array, Shape, shaped
+from .._arrays import PLANE, SPACE, Array, Shape, UnusableFrame, shaped
 
 if TYPE_CHECKING:
     from ._eye import View
@@ -39,9 +39,9 @@ def grey(image: Any, *, where: str = "image") -> Grey:
     """
     array = as_array(image, where=where)
     if array.dtype.kind not in "uifb":
-        raise InputError("an image holds no numbers", where=where, found=f"dtype {array.dtype}", expected="uint8")
+        raise UnusableFrame("an image holds no numbers", where=where, found=f"dtype {array.dtype}", expected="uint8")
     if not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (1, 3, 4))) or min(array.shape[:2]) < SMALLEST:
-        raise InputError(
+        raise UnusableFrame(
             "no image", where=where, found=f"shape {array.shape}", expected="(H, W), or (H, W, 3) with red first"
         )
     eight = _eight_bits(array, where)
@@ -63,10 +63,10 @@ def _eight_bits(array: NDArray[Any], where: str) -> Grey:
     if array.dtype.kind == "b":
         return array.astype(np.uint8) * np.uint8(255)
     if not np.isfinite(array).all():
-        raise InputError("an image holds NaN or infinity", where=where, expected="finite grey levels")
+        raise UnusableFrame("an image holds NaN or infinity", where=where, expected="finite grey levels")
     low, high = float(array.min()), float(array.max())
     if low < 0 or high > 255:
-        raise InputError("grey levels out of range", where=where, found=f"{low:g} to {high:g}", expected="0 to 255")
+        raise UnusableFrame("grey levels out of range", where=where, found=f"{low:g} to {high:g}", expected="0 to 255")
     scale = 255.0 if high <= 1.0 and array.dtype.kind == "f" else 1.0
     return np.round(array * scale).astype(np.uint8)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
-from structures.errors import InputError, one_of, plain, reals
+from structures.errors import InputError, as_array, one_of, reals
 
 from .._arrays import PLANE, Array, Index, Mask, shaped
 from .._guards import interpolation_noise
@@ -150,7 +150,7 @@ class Interpolation:
         ----------
         lost : array of bool, shape (N,)
         """
-        gone = np.asarray(plain(lost), bool)
+        gone = as_array(lost, where="lost markers", dtype=bool)
         if gone.shape != self.used.shape:
             raise InputError("lost does not fit the markers", where="lost", found=gone.shape, expected=self.used.shape)
         if not (gone & self.used).any():

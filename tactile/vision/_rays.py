@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, number, pair, positive, reals
 
-from .._arrays import PLANE, Array, shaped
+from .._arrays import BEHIND, DISTANCE, PLANE, Array, shaped
 
 FEWEST = 4
 DEGENERATE = 1e-8  # smallest singular value that is not the solution, over the largest
@@ -190,9 +190,11 @@ class Window:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "eye", pair("eye", self.eye, where="Window", unit="m"))
-        positive("distance", self.distance, where="Window", unit="m")
+        DISTANCE.positive("distance", self.distance, where="Window")
         if number("depth", self.depth, where="Window", unit="m") < 0:
             raise InputError("depth must not be negative", where="Window", found=self.depth)
+        if self.depth:
+            BEHIND.inside("depth", self.depth, where="Window")
         _index(self.gamma)
 
     def slope(self, xy: Array, height: Array) -> Array:

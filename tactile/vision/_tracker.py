@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._advice import Advice
 from structures._flags import Flag
-from structures.errors import InputError, positive, reals
+from structures.errors import InputError, as_array, positive, reals
 
-from .._arrays import PLANE, Array, Index, Mask, shaped
+from .._arrays import PLANE, Array, Index, Mask, UnusableFrame, shaped
 from .._guards import leapt, vanished
 from ._detect import BRIGHT, SIZE, Detected, Detector, size_of_dots
 from ._interpolation import NEAREST, fitted_weights
@@ -186,7 +186,7 @@ class MarkerTracker:
         self.gate = positive("gate", gate, where="MarkerTracker")
         rest = self._dots(reference)
         if len(rest) < FEWEST:
-            raise InputError(
+            raise UnusableFrame(
                 "too few markers", where="reference frame", found=len(rest), expected=f"at least {FEWEST}",
                 hint=Advice(BRIGHT, SIZE),
             )  # fmt: skip
@@ -280,7 +280,7 @@ class MarkerTracker:
             return _finite(places(frame, "dots"))
         self._size = self._size or np.shape(frame)[:2]
         if np.shape(frame)[:2] != self._size:
-            raise InputError(
+            raise UnusableFrame(
                 "a frame of another size", where=f"frame {self._frame + 1}", found=np.shape(frame), expected=self._size,
                 hint="a tracker follows one camera at one setting; start another one from an unloaded frame",
             )  # fmt: skip
@@ -341,4 +341,7 @@ def _finite(points: Array) -> Array:
 
 def _is_points(frame: Any) -> bool:
     """Whether an array holds places (n, 2) and no image."""
-    return not isinstance(frame, Detected) and np.ndim(frame) == 2 and np.shape(frame)[1] == 2
+    if isinstance(frame, Detected):
+        return False
+    shape = as_array(frame, where="frame").shape
+    return len(shape) == 2 and shape[1] == 2

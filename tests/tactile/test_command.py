@@ -193,6 +193,68 @@ def test_markers_alone_are_flagged(made: Path, tmp_path: Path, capsys: pytest.Ca
     assert "completed, not measured" in capsys.readouterr().out
 
 
+def test_dead_frames_are_named_and_the_others_answered(
+    made: Path, whole: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Black, damaged, of another size, saturated, without markers: the forces of the others are what they were."""
+    from PIL import Image
+
+    images, maps = np.load(made / "stack.npy"), np.load(made / "depth.npy")
+    order = [None, 0, 1, None, 2, 3, 4, None, 5, None, 6, None]
+    rng, shape = np.random.default_rng(0), images[0].shape
+    dead = iter([np.zeros(shape), None, np.zeros((60, 80)), np.full(shape, 255), rng.normal(120, 2, shape)])
+    (tmp_path / "run").mkdir()
+    for k, i in enumerate(order):
+        image, path = images[i] if i is not None else next(dead), tmp_path / "run" / f"{k + 1}.png"
+        path.write_bytes(b"") if image is None else Image.fromarray(np.asarray(image, np.uint8)).save(path)
+    np.save(tmp_path / "depth.npy", maps[[0 if i is None else i for i in order]])
+    words = ["tactile", str(tmp_path / "run"), "--pad", str(made / "pad.toml"), "--depth", str(tmp_path / "depth.npy")]
+    words += ["-o", str(tmp_path / "a.h5"), "--unloaded", "6", "--lam", str(whole["lambda"])]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["frame"] for one in told["skipped"]] == [1, 4, 8, 10, 12]
+    assert "another size" in told["skipped"][2]["why"]
+    found, like = ForceMap.read(tmp_path / "a.h5"), ForceMap.read(made / "a.h5")
+    assert found.axis is not None
+    assert found.axis.values.tolist() == [k + 1 for k, i in enumerate(order) if i is not None]
+    assert found.load == pytest.approx(like.load, rel=1e-6, abs=1e-6 * np.abs(like.load).max())
+    assert any("frames 1, 4, 8, 10, 12 left out" in f["message"] for f in told["flags"])
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "left out" in said
+    assert "5 of 12 frames: 1, 10, 12 (" in said
+
+
+def test_dead_frames_among_the_unloaded_ones(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without --unloaded: a damaged first file, and a black frame that is the last of the five taken as unloaded."""
+    from PIL import Image
+
+    images = np.load(made / "stack.npy")
+    (tmp_path / "run").mkdir()
+    for k, image in enumerate([None, *images[:4], np.zeros_like(images[0]), *images[4:]]):
+        path = tmp_path / "run" / f"{k + 1}.png"
+        path.write_bytes(b"") if image is None else Image.fromarray(image).save(path)
+    words = ["tactile", str(tmp_path / "run"), "--pad", str(made / "pad.toml"), "-o", str(tmp_path / "a.h5"), "--json"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [one["frame"] for one in told["skipped"]] == [1, 6]
+    assert told["reference"] == "first 6 frames of run, 1 of them unusable"
+    assert told["markers"] == len(MARKERS)
+    assert not told["notes"]
+
+
+def test_an_input_of_dead_frames_is_an_error(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = np.load(made / "stack.npy")
+    np.save(tmp_path / "dead.npy", np.concatenate([images[:4], np.zeros_like(images[:2])]))
+    words = ["tactile", str(tmp_path / "dead.npy"), "--pad", str(made / "pad.toml"), "-o", str(tmp_path / "a.h5")]
+    assert main([*words, "--unloaded", "4", "--frames", "5:6"]) == 3
+    assert "no marker" in capsys.readouterr().err
+    assert not (tmp_path / "a.h5").exists()
+    np.save(tmp_path / "dead.npy", np.zeros_like(images))
+    assert main(words) == 3
+    assert "no dots" in capsys.readouterr().err
+
+
 def test_frames_that_were_not_unloaded_are_noticed(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

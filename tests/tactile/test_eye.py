@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from structures.errors import InputError
-from tactile import ContactLaw, DepthMap, Eye, ForceMap, MultilayerPad, Pad, Press, View
+from tactile import ContactLaw, DepthMap, Eye, ForceMap, MultilayerPad, Pad, Press, View, frames
 from tactile.vision._images import Scene, grid
 
 SIDE, H = 24e-3, 3e-3
@@ -146,6 +148,87 @@ def test_a_view_without_rays_is_refused_and_can_be_allowed() -> None:
 def test_noise_must_be_known(settings: dict) -> None:
     with pytest.raises(InputError):
         eye(**settings)
+
+
+# -- dead frames ------------------------------------------------------------------------------------------------------
+BLANK = np.zeros(SCENE.size, np.uint8)
+DEAD = {
+    "black": BLANK,
+    "saturated": BLANK + np.uint8(255),
+    "no markers": np.random.default_rng(0).normal(100, 2, SCENE.size).astype(np.uint8),
+    "noise": np.random.default_rng(0).integers(0, 256, SCENE.size).astype(np.uint8),
+    "another size": BLANK[:100, :100],
+    "no image": np.zeros(7, np.uint8),
+    "NaN": np.full((*SCENE.size, 3), np.nan),
+    "nothing": None,
+}
+
+
+@cache
+def pictures() -> tuple[np.ndarray, ...]:
+    return tuple(picture(press, 20 + k) for k, press in enumerate(steps()))
+
+
+@cache
+def undisturbed() -> tuple[ForceMap, ...]:
+    return tuple(chained(eye()).stream(pictures()))
+
+
+@pytest.mark.parametrize("kind", DEAD)
+def test_a_dead_frame_does_not_end_a_stream(kind: str) -> None:
+    """Those after it are what they are without it; the next one says which were left out, no other does."""
+    a, b, c = pictures()
+    stream = chained(eye()).stream(iter([a, DEAD[kind], DEAD[kind], b, c, DEAD[kind]]))
+    numbers, found = [], []
+    for force in stream:
+        numbers.append(stream.number)
+        found.append(force)
+    assert numbers == [1, 4, 5]
+    assert stream.skipped == (2, 3, 6)
+    assert stream.time is None
+    for one, like in zip(found, undisturbed(), strict=True):
+        assert one.load == pytest.approx(like.load, rel=1e-9, abs=1e-9 * np.abs(like.load).max())
+    told = [[f for f in force.flags if "left out, with no map" in f.message] for force in found]
+    assert [len(flags) for flags in told] == [0, 1, 0]
+    assert (told[1][0].code, told[1][0].evidence.value) == ("LID-W604", 2.0)
+    assert "frames 2, 3 left out" in told[1][0].message
+
+
+def test_a_stream_of_dead_frames_only_ends_in_the_error_of_the_first() -> None:
+    stream = chained(eye()).stream([DEAD["another size"], BLANK])
+    with pytest.raises(InputError, match="another size"):
+        list(stream)
+    assert stream.skipped == (1, 2)
+    assert list(chained(eye()).stream([])) == []
+
+
+def test_depth_maps_keep_step_with_dead_frames() -> None:
+    a, b, c = pictures()
+    maps = [depth(press) for press in steps()]
+    whole = [m.load for m in chained(eye(), depth=depth()).stream([a, b, c], maps)]
+    stream = chained(eye(), depth=depth()).stream([a, BLANK, b, None, c], [maps[0], maps[0], maps[1], maps[1], maps[2]])
+    for force, like in zip(stream, whole, strict=True):
+        assert force.load == pytest.approx(like, rel=1e-9, abs=1e-9 * np.abs(like).max())
+    with pytest.raises(InputError, match=r"frame 3: .* no depth map 3"):
+        list(chained(eye(), depth=depth()).stream([a, BLANK, b], maps[:2]))
+
+
+def test_what_is_wrong_with_the_call_still_ends_a_stream() -> None:
+    sensor = chained(eye())
+    for wrong in (np.zeros((7, 2)), np.full((520, 2), np.inf), "frame"):
+        with pytest.raises(InputError):
+            list(sensor.stream([pictures()[0], wrong]))
+
+
+def test_a_stream_of_a_folder_passes_over_a_damaged_file(tmp_path: Path) -> None:
+    for k, image in enumerate([pictures()[0], BLANK, *pictures()[1:]]):
+        Image.fromarray(image).save(tmp_path / f"{k + 1}.png")
+    (tmp_path / "2.png").write_bytes(b"no image at all")
+    stream = chained(eye()).stream(frames(tmp_path))
+    loads = [force.load for force in stream]
+    assert stream.skipped == (2,)
+    for load, like in zip(loads, undisturbed(), strict=True):
+        assert load == pytest.approx(like.load, rel=1e-9, abs=1e-9 * np.abs(load).max())
 
 
 def test_a_frame_of_another_size(whole: tuple[MultilayerPad, ForceMap]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from PIL import Image
 
 from structures._flags import codes
 from structures.errors import InputError
+from tactile._arrays import UnusableFrame
 from tactile.vision import _images as backend
 from tactile.vision import frames, read_motions
-from tactile.vision._frames import missing_numbers, natural
+from tactile.vision._frames import each, missing_numbers, natural
 from tactile.vision._images import Scene
 
 from ..data import measured
@@ -122,7 +124,7 @@ def test_what_holds_no_frames(clip: np.ndarray, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there are no frames"):
         list(frames([]))
     with pytest.raises(InputError, match="no frames"):
-        frames(3)
+        frames(3.5)
 
 
 @needs_cv2
@@ -153,6 +155,121 @@ def test_videos_are_read_and_a_truncated_one_names_the_frame(clip: np.ndarray, t
     (tmp_path / "noise.mp4").write_bytes(bytes(500))
     with pytest.raises(InputError, match="the video cannot be read"):
         frames(tmp_path / "noise.mp4")
+
+
+class Camera:
+    """What OpenCV gives of a camera: frames, failures (None), and a stamp where it has one."""
+
+    def __init__(self, images: list, stamped: bool = True, opened: bool = True, count: int = -1) -> None:
+        self.images, self.stamped, self.opened, self.count = list(images), stamped, opened, count
+        self.at, self.released = 0, False
+
+    def isOpened(self) -> bool:
+        return self.opened
+
+    def get(self, what: str) -> float:
+        return {"count": self.count, "msec": 40.0 * self.at if self.stamped else -1.0, "four": 0}[what]
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        image = self.images[self.at] if self.at < len(self.images) else None
+        self.at += 1
+        return image is not None, image
+
+    def release(self) -> None:
+        self.released = True
+
+
+Camera.__module__ = "cv2"
+
+
+def seen_by(monkeypatch: pytest.MonkeyPatch, camera: Camera) -> None:
+    named = {"CAP_PROP_FRAME_COUNT": "count", "CAP_PROP_POS_MSEC": "msec", "CAP_PROP_FOURCC": "four"}
+    fake = SimpleNamespace(**named, VideoCapture=lambda index: camera)
+    monkeypatch.setattr(sys.modules["tactile.vision._frames"], "opencv", lambda: fake)
+    monkeypatch.setattr(sys.modules["tactile.vision._frames"], "installed", lambda: True)
+
+
+@pytest.mark.parametrize("by_number", [True, False])
+def test_a_camera_gives_frames_with_its_stamps(
+    by_number: bool, clip: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame that fails is passed over; ten in a row are the end of a camera, in words."""
+    camera = Camera([*colour(clip[:2]), None, *colour(clip[2:4])])
+    seen_by(monkeypatch, camera)
+    found = frames(0) if by_number else frames(camera)
+    assert (found.count, found.time, found.flags) == (None, None, ())
+    taken, stamps, lost = [], [], 0
+    coming = each(found)
+    for _ in range(5 + 9):
+        frame = next(coming)
+        if isinstance(frame, UnusableFrame):
+            lost += 1
+            assert found.time is None
+        else:
+            taken.append(frame)
+            stamps.append(found.time)
+    with pytest.raises(InputError, match=r"frame 15.*no more frames.*4 frames, then 10 failures"):
+        next(coming)
+    assert np.abs(np.stack(taken).astype(int) - clip[:4]).max() <= 1
+    assert stamps == pytest.approx([0.04, 0.08, 0.16, 0.2])
+    assert lost == 1 + 9
+    assert camera.released is by_number  # a capture of one's own stays one's own
+    assert list(each(found)) == []
+
+
+def test_a_camera_without_stamps_has_none(clip: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen_by(monkeypatch, Camera(list(colour(clip[:1])), stamped=False))
+    found = frames(1)
+    next(found)
+    assert found.time is None
+
+
+def test_a_camera_that_is_not_there(clip: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen_by(monkeypatch, Camera([], opened=False))
+    with pytest.raises(InputError, match="camera 0: the camera cannot be opened"):
+        frames(0)
+    with pytest.raises(InputError, match="capture is not open"):
+        next(frames(Camera([], opened=False)))
+    monkeypatch.setattr(sys.modules["tactile.vision._frames"], "installed", lambda: False)
+    with pytest.raises(InputError, match=r"a camera needs OpenCV.*loadid\[vision\]"):
+        frames(0)
+    for wrong in (-1, True, 0.5):
+        with pytest.raises(InputError):
+            frames(wrong)
+
+
+@needs_cv2
+def test_a_capture_of_a_video_is_the_video(clip: np.ndarray, tmp_path: Path) -> None:
+    cv2 = backend.opencv()
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (160, 120))
+    if not writer.isOpened():
+        pytest.skip("this OpenCV writes no MJPG")
+    for image in colour(clip):
+        writer.write(np.ascontiguousarray(image))
+    writer.release()
+    capture = cv2.VideoCapture(str(tmp_path / "a.avi"))
+    found, file = frames(capture), frames(tmp_path / "a.avi")
+    assert found.count == 12
+    assert codes(found.flags) == {"W406"}
+    for frame, like in zip(found, file, strict=True):
+        np.testing.assert_array_equal(frame, like)
+        assert found.time == file.time == pytest.approx((found.delivered - 1) / 25, abs=1e-3)
+    assert capture.isOpened()
+
+
+def test_frames_go_on_after_one_that_cannot_be_used(clip: np.ndarray, tmp_path: Path) -> None:
+    folder = saved(tmp_path / "damaged", clip[:6])
+    (folder / "frame3.png").write_bytes(b"")
+    Image.fromarray(clip[0, :100]).save(folder / "frame5.png")
+    found = frames(folder)
+    taken = list(each(found))
+    assert [isinstance(frame, UnusableFrame) for frame in taken] == [False, False, True, False, True, False]
+    assert "frame3.png" in str(taken[2])
+    assert "frame 5: a frame of another size" in str(taken[4])
+    assert found.delivered == 4
+    np.testing.assert_array_equal(taken[5], clip[5])
+    with pytest.raises(UnusableFrame):  # a generator is over once it has raised: not taken for its end
+        list(each(frame for frame in frames(folder)))
 
 
 def test_without_opencv_a_video_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
