@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import closing
 from pathlib import Path
 from urllib.error import HTTPError
@@ -173,6 +174,7 @@ def test_all_kinds_of_sinks_hold_the_same_rows(tmp_path: Path) -> None:
             subscriber.connect(f"tcp://127.0.0.1:{ports[1]}")
             rounds(one, lambda: rows(tmp_path) == 1000, "the rows")
             one.lives["mast"].checkpoint()
+            time.sleep(0.5)  # a publisher does not say who has subscribed
             with socket.create_connection(("127.0.0.1", ports[0])) as listener:
                 waited(lambda: one.lives["mast"].sinks.counts["undelivered"] == 0, "nothing")
                 with (tmp_path / "log.csv").open("ab") as file:

@@ -81,10 +81,12 @@ def test_a_lost_connection_is_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 def test_messages_of_a_publisher(tmp_path: Path) -> None:
     zmq, log, port = pytest.importorskip("zmq"), lines(), free_port()
     context = zmq.Context()
-    publisher = context.socket(zmq.PUB)
+    publisher = context.socket(zmq.XPUB)  # which hears of subscriptions
     publisher.bind(f"tcp://127.0.0.1:{port}")
     with server(tmp_path, f"zmq://127.0.0.1:{port}/shm/mast") as one:
         rounds(one, lambda: not one.feeds["mast"].down(), "the connection")
+        assert publisher.poll(10_000)
+        assert publisher.recv() == b"\x01shm/mast"
         for begin in range(0, len(log), 100):
             publisher.send_multipart([b"shm/mast", b"".join(log[begin : begin + 100])])
             publisher.send_multipart([b"shm/mast2", b"1,2,3"])  # of another structure, with a topic that begins alike
