@@ -88,6 +88,7 @@ class Server:
             self.journal = Journal(plan.states)
             held.callback(self.journal.close)
             self._again(told, skip)
+            self._forget()
             self.feeds: dict[str, Feed] = {}
             self._each: list[Feed] = []
             for feed, names in _feeds(plan, self.lives):

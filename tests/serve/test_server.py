@@ -100,6 +100,28 @@ def test_what_can_never_be_read_is_given_up_for_one_structure_alone(tmp_path: Pa
         server(tmp_path, "log.csv", skip=["mast"])
 
 
+def test_segments_that_a_checkpoint_has_left_behind_go_at_the_next_start(tmp_path: Path) -> None:
+    log = lines()
+    with Mosquitto(tmp_path) as broker:
+        source = f"mqtt://127.0.0.1:{broker.port}/mast"
+        client = broker.client()
+        with server(tmp_path, source) as one:
+            rounds(one, lambda: not one.feeds["mast"].down(), "the subscription")
+            client.publish("mast", b"".join(log[:300]), qos=1)
+            rounds(one, lambda: rows(tmp_path) == 299, "the rows")
+            one.lives["mast"].checkpoint()
+            client.publish("mast", b"".join(log[300:400]), qos=1)
+            rounds(one, lambda: rows(tmp_path) == 399, "the rows")
+        assert list((tmp_path / "states").glob("*.bin"))
+        with server(tmp_path, source) as one:  # what lies behind the checkpoint stays until the next
+            assert one.journal.size > 0
+            one.lives["mast"].checkpoint()
+        with server(tmp_path, source) as one:
+            assert one.journal.size == 0
+        client.disconnect()
+        client.loop_stop()
+
+
 def test_pauses_late_and_doubled_messages_are_counted_and_do_no_harm(tmp_path: Path) -> None:
     log = lines()
     pieces = [b"".join(log[k : k + 20]) for k in range(1, 1501, 20)]
