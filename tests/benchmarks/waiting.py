@@ -1,7 +1,7 @@
 """What users wait for: whole jobs, by the public call or the command line, beside what they would take instead.
 
-Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about a quarter of an hour. CPU
-seconds of the process and its children, the BLAS threads as the environment has them, on the default install. Every job
+Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about a quarter of an hour;
+``growth`` prints how the time of a deconvolution grows with samples, sensors and loads. CPU seconds of the process and its children, the BLAS threads as the environment has them, on the default install. Every job
 runs in a process of its own, once on a record of its own to have its loops compiled, then on another record (*first*)
 and a third one (*again*: what is kept of a model counts). The alternative has the same data and, where it knows none,
 the lambda that the job chose; it gives a load without std (filterpy has one), rules or verdict.
@@ -24,7 +24,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import Deconvolution, LoadTracker, LocationSearch, Noise, SparseDeconvolution, StaticInversion, recommend
+from loadid import (
+    Deconvolution,
+    LoadTracker,
+    LocationSearch,
+    Noise,
+    Penalty,
+    SparseDeconvolution,
+    StaticInversion,
+    recommend,
+)
 from loadid._commands import demo
 from loadid.cli import main as command
 from loadid.constraints import FrictionCone, NonNegative, Resultant
@@ -432,8 +441,34 @@ def measured(name: str) -> dict[str, float]:
     return times
 
 
+def growing(samples: int, seen: int, loaded: int) -> float:
+    """CPU seconds of a second estimate: a beam of 8 modes, sensors and loads at its nodes, constant variance."""
+    structure = beams.cantilever(elements=30, damping=damping.Modal(0.01), length=1.5, EI=800.0, mass_per_length=3.0)
+    rows = [sensors.Accelerometer(f"{node}+Z") for node in (9, 17, 26, 29, 13, 21, 5, 24)[:seen]]
+    model = ForwardModel(structure, rows, [loads.Point(f"{node}+Z") for node in (30, 20, 10, 15)[:loaded]], modes=8)
+    inversion, dt = Deconvolution(model, penalty=Penalty("identity", variance="constant")), 1e-4
+    for k in range(3):
+        g = np.repeat(hits(samples, k), loaded, axis=1) * np.linspace(1, 2, loaded)
+        y, before = noisy(model.predict(g, dt), k, 0.05), spent()
+        inversion.estimate(y, dt)
+        last = spent() - before
+    return last
+
+
+def growth() -> None:
+    """Exponents of the time over samples, sensors and loads, each from its least to its most."""
+    base = {"samples": 20_000, "sensors": 4, "loads": 1}
+    for name, (few, many) in {"samples": (10_000, 80_000), "sensors": (2, 8), "loads": (1, 4)}.items():
+        times = [growing(*{**base, "sensors": 8 if name == "loads" else 4, name: n}.values()) for n in (few, many)]
+        exponent = np.log(times[1] / times[0]) / np.log(many / few)
+        print(f"{name:8s} {few} to {many}: {times[0]:.2f} to {times[1]:.2f} CPU s, exponent {exponent:.2f}", flush=True)
+
+
 def main(names: list[str]) -> int:
     """Print the table."""
+    if names == ["growth"]:
+        growth()
+        return 0
     print(f"{'CPU s':34s} {'first':>8s} {'again':>8s} {'other':>8s}  alternative")
     for name in names or list(JOBS):
         if name not in JOBS:
