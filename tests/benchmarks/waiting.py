@@ -1,10 +1,11 @@
 """What users wait for: whole jobs, by the public call or the command line, beside what they would take instead.
 
 Run as ``python -m tests.benchmarks.waiting [JOB ...]``; without names all of them, in about a quarter of an hour;
-``growth`` prints how the time of a deconvolution grows with samples, sensors and loads. CPU seconds of the process and its children, the BLAS threads as the environment has them, on the default install. Every job
-runs in a process of its own, once on a record of its own to have its loops compiled, then on another record (*first*)
-and a third one (*again*: what is kept of a model counts). The alternative has the same data and, where it knows none,
-the lambda that the job chose; it gives a load without std (filterpy has one), rules or verdict.
+``growth`` prints how the time of a deconvolution grows with samples, sensors and loads. CPU seconds of the process
+and its children, the BLAS threads as the environment has them, on the default install. Every job runs in a process of
+its own, once on a record of its own to have its loops compiled, then on another record (*first*) and a third one
+(*again*: what is kept of a model counts). The alternative has the same data and, where it knows none, the lambda that
+the job chose; it gives a load without std (filterpy has one), rules or verdict.
 """
 
 from __future__ import annotations
