@@ -123,7 +123,6 @@ class _Text:
     """Rows as text, the names of the columns first."""
 
     def __init__(self, head: Sequence[str]) -> None:
-        self._pipe = io.BytesIO()
         self._head = head
 
     def write(self, times: Array, load: Array, std: Array, alarms: NDArray[np.int_] | None = None) -> None:
