@@ -1,4 +1,4 @@
-"""How well a gel is known that was not measured to the last digit: what a sensor's bands and a calibration start from."""
+"""How well a gel is known that nobody measured to the last digit: what bands and a calibration start from."""
 
 from __future__ import annotations
 
