@@ -8,14 +8,14 @@ from typing import Any
 
 from loadid import Penalty
 
-from . import demo, faults, frequency, grades, hammer, impacts, long, static, tracking
+from . import demo, faults, frequency, grades, hammer, impacts, long, static, tactile, tracking
 from .scores import counts, table
 
 CAMPAIGNS = {
     "static": static, "impacts": impacts, "hammer": hammer, "demo": demo, "long": long, "frequency": frequency,
-    "tracking": tracking,
+    "tracking": tracking, "tactile": tactile,
 }  # fmt: skip
-TABLES = {"frequency": frequency.table, "tracking": tracking.table}
+TABLES = {"frequency": frequency.table, "tracking": tracking.table, "tactile": tactile.table}
 
 
 def main() -> None:
