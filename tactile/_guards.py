@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from structures._flags import Evidence, Flag
 from structures.errors import InputError, integer
 
 from ._arrays import Array
+
+if TYPE_CHECKING:
+    from ._sensors.image import ImageShift
 
 
 def above(code: str, name: str, value: float, limit: float, message: str, advice: str) -> Flag | None:
@@ -358,6 +361,25 @@ def slipped(
         f"the markers that no contact reaches moved together by ({x:.3g}, {y:.3g}) um{px} and turned by "
         f"{np.degrees(turn):.2g} degrees: the force may be wrong by ({fx:.2g}, {fy:.2g}, {fz:.2g}) N, which is "
         "what this motion alone gives; no band shows it",
+        "unload the sensor and zero() it again; fasten the camera and the gel",
+    )  # fmt: skip
+
+
+MOVED = 5.0  # mean square of a motion of the image over its variance
+CLEARLY = 2.0  # times the noise of one marker
+
+
+def moved(image: ImageShift, pixel: float | None) -> Flag | None:
+    """W611: camera or gel moved as a whole, and that is taken out of the load."""
+    if not image.over > CLEARLY:
+        return None
+    (x, y), (dx, dy) = 1e6 * image.values[:2], 1e6 * image.std[:2]
+    px = "" if pixel is None else f" ({float(np.hypot(x, y)) * 1e-6 / pixel:.2g} px)"
+    return above(
+        "W611", "mean square of the motion of the image over its variance", image.ratio, MOVED,
+        f"camera or gel moved by ({x:.3g} +- {dx:.1g}, {y:.3g} +- {dy:.1g}) um{px} and turned by "
+        f"{np.degrees(image.values[2]):.2g} degrees: that is taken out of the load, and the band holds what it leaves "
+        "open",
         "unload the sensor and zero() it again; fasten the camera and the gel",
     )  # fmt: skip
 

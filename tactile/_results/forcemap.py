@@ -88,7 +88,8 @@ class ForceFacts(Facts):
     """Facts of a force map; in a record of several frames, what differs between them is a tuple of all.
 
     Readings that are `lost`; `strays`, markers that contradict the others; `misfit`, the residual of the markers over
-    their noise; nodes `free_of_load` and `outside_hull` of the markers; `provided`, as `ForceMap.provided`.
+    their noise; nodes `free_of_load` and `outside_hull` of the markers; `provided`, as `ForceMap.provided`; motion of
+    the whole `image` that was taken out, shift along x and y (m), turn (rad), stretch and offsets (m), and its std.
     """
 
     lost: int | tuple[int, ...] | None = fact()
@@ -98,6 +99,8 @@ class ForceFacts(Facts):
     free_of_load: int | tuple[int, ...] | None = fact()
     outside_hull: int | tuple[int, ...] | None = fact()
     provided: Mapping[str, str] | None = fact()
+    image: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = fact()
+    image_std: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = fact()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

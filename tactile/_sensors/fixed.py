@@ -13,12 +13,13 @@ the noise are errors of the model, which are alike over two thicknesses: they co
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from loadid._families.static import StaticInversion
+from loadid._inverse.choice import Choice
 from structures._flags import Flag
 from structures.errors import InputError
 
@@ -26,6 +27,8 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
+from .gaussian import GaussianProblem
+from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
 from .marked import ContactLaw
 from .observation import Markers, Wrench
@@ -133,13 +136,14 @@ CLEAR = 2.0  # stds of the unconstrained map
 
 @dataclass(frozen=True, eq=False)
 class FrameAnswer:
-    """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags."""
+    """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags, image's motion."""
 
     load: Array
     std: Array
     wrench: Array
     facts: ForceFacts
     flags: list[Flag | None]
+    image: ImageShift | None = None
 
 
 @dataclass(eq=False)
@@ -148,7 +152,8 @@ class QuickMap:
 
     `resultant` is (6, n); `places` (n / 3, 3) are the nodes that may be loaded, `neighbours` sparse which of them share
     a cell, `markers` (N, 2), whose readings come first, `axes` for each; `reach` is the radius of the press whose
-    recovery is told, `about` the middle of the surface (3,); all in m.
+    recovery is told, `about` the middle of the surface (3,); all in m. `problem` is that of a contact prior, with the
+    `choice` that was made on the frame itself, where lambda is not fixed.
     """
 
     family: StaticInversion
@@ -160,10 +165,76 @@ class QuickMap:
     reach: float
     about: Array
     contact: ContactLaw
+    problem: GaussianProblem | None = None
+    choice: Choice | None = None
     _solver: RegionSolver | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
+        self.inverse: Inverse = self._prepared()
+        problem = self.problem
+        steady = problem is None or problem.motion is None
+        self.image = None if steady or problem is None else ImageFit(problem, self.inverse, self.places, self.reach)
+        self.consistency = Consistency(self.inverse, self.markers, self.axes)
+        self.recovery = self.inverse.recovery(self._press())
+
+    def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
+        """Map of readings (m,), NaN where one is lost."""
+        inverse, whole = self.inverse, y
+        image = None if self.image is None else self.image(y)
+        y, strays, misfit = self.consistency.checked(self._steadied(y, image))
+        if strays and self.image is not None:
+            image = self.image(np.where(np.isfinite(y), whole, np.nan))
+            y = self._steadied(np.where(np.isfinite(y), whole, np.nan), image)
+        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
+        told = None if self.contact.constrains else wrench
+        if inverse.band is None:
+            answer = inverse(y, told)
+            load, std, covariance = answer.load, wide * answer.std, answer.wrench
+        else:
+            answer = inverse(y)
+            load, std, covariance = inverse.band.around(answer, inverse, wide, told)
+        path = "frozen inverse"
+        flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
+        if wrench is None:
+            flags.append(guards.unseen(self.recovery))
+            if inverse.band is None:
+                hidden = inverse.hidden(load)
+                flags.append(guards.taken(hidden, inverse.resultant @ load, covariance))
+                covariance = covariance + np.outer(hidden, hidden)
+            covariance = covariance + self._blind(inverse.resultant @ load)
+        if self.contact.constrains:
+            found = self.pressed(y, wrench, answer)
+            load = found.load
+            path = f"active sets on the contact region, {found.steps} steps"
+            flags.append(guards.stopped(found.converged, found.steps))
+            if inverse.band is None or wrench is not None:
+                std = wide * found.std
+                covariance = found.wrench if wrench is not None or found.touched else covariance
+            else:
+                _, std, covariance = inverse.band.around(replace(answer, load=load), inverse, wide, None)
+        if inverse.band is None or (self.contact.constrains and wrench is not None):
+            covariance = wide**2 * covariance
+        if image is not None and self.image is not None and (wrench is None or not self.contact.constrains):
+            open_ = self.image.loads @ np.linalg.cholesky(image.covariance)
+            std = np.sqrt(std**2 + np.sum(open_**2, axis=1))
+            if wrench is None:
+                felt = inverse.resultant @ open_
+                covariance = covariance + felt @ felt.T
+        lost = int(np.sum(~np.isfinite(y)))
+        facts = ForceFacts(
+            path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
+            lambda_rule=inverse.rule,
+        )  # fmt: skip
+        return FrameAnswer(load, std, covariance, facts, flags, image)
+
+    def _steadied(self, y: Array, image: ImageShift | None) -> Array:
+        """Readings without what moved all of them."""
+        return y if image is None or self.image is None else y - self.image.motion.columns @ image.values
+
+    def _prepared(self) -> Inverse:
         family = self.family
+        if self.choice is not None and self.problem is not None:
+            return self.problem.inverse(self.choice.lam, self.choice.scale, self.choice.rule)
         lam = family.calibration.lam if family.calibration is not None else family.choice
         if not isinstance(lam, int | float):
             raise InputError(
@@ -171,41 +242,20 @@ class QuickMap:
                 expected="a calibration, or a relative lambda", hint="sensor.calibrate([press, press, ...])",
             )  # fmt: skip
         rule = "given" if family.calibration is None else family.calibration.rule
-        self.inverse: Inverse = prepare(family, self.resultant, float(lam), rule)
-        self.consistency = Consistency(self.inverse, self.markers, self.axes)
-        self.recovery = self.inverse.recovery(self._press())
-
-    def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
-        """Map of readings (m,), NaN where one is lost."""
-        inverse = self.inverse
-        y, strays, misfit = self.consistency.checked(y)
-        answer = inverse(y, None if self.contact.constrains else wrench)
-        load, std, covariance, path = answer.load, answer.std, answer.wrench, "frozen inverse"
-        flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
-        if wrench is None:
-            hidden = inverse.hidden(load)
-            flags += [guards.unseen(self.recovery), guards.taken(hidden, inverse.resultant @ load, covariance)]
-            covariance = covariance + np.outer(hidden, hidden) + self._blind(inverse.resultant @ load)
-        if self.contact.constrains:
-            found = self.pressed(y, wrench, answer)
-            load, std = found.load, found.std
-            covariance = found.wrench if wrench is not None or found.touched else covariance
-            path = f"active sets on the contact region, {found.steps} steps"
-            flags.append(guards.stopped(found.converged, found.steps))
-        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
-        std, covariance = wide * std, wide**2 * covariance
-        lost = int(np.sum(~np.isfinite(y)))
-        facts = ForceFacts(
-            path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
-            lambda_rule=inverse.rule,
-        )  # fmt: skip
-        return FrameAnswer(load, std, covariance, facts, flags)
+        if self.problem is None:
+            return prepare(family, self.resultant, float(lam), rule)
+        return self.problem.inverse(float(lam), float(family.at_rest().base.scale), rule)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
         """The map that only presses, where the unconstrained answer does; not for penalties that couple loads."""
         if wrench is not None:
             carried(wrench, self.contact.friction)
-        answer = self.inverse(y) if answer is None else answer
+        if answer is None:
+            y = self._steadied(y, None if self.image is None else self.image(y))
+            answer = self.inverse(y)
+        if self.inverse.band is not None and wrench is None:
+            touched = self.inverse.band.loaded(answer.load)
+            return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
         pressure, spread = -answer.load[2::3], answer.std[2::3]
         touched = pressure > TOUCH * pressure.max()
         if wrench is None:
@@ -222,13 +272,20 @@ class QuickMap:
     @property
     def _region(self) -> RegionSolver:
         if self._solver is None:
+            inverse, problem = self.inverse, self.problem
+            if problem is not None:
+                x = inverse.lam * inverse.scale
+                self._solver = RegionSolver(
+                    problem.whitened, lambda nodes: x * problem.prior.penalty(nodes), inverse.resultant,
+                    self.neighbours, self.contact.friction,
+                )  # fmt: skip
+                return self._solver
             if self.family.L is not None:
                 raise InputError(
                     "constrained maps at a fixed lambda take the identity as their penalty",
                     where="penalty", found=self.family.penalty, expected="'identity'",
                     hint="leave lambda to be chosen per frame, or leave the constraints out",
                 )  # fmt: skip
-            inverse = self.inverse
             prior = np.full(inverse.shape[0], inverse.lam * inverse.scale)
             H = self.family.H[: inverse.shape[1]] / inverse.noise[:, None]  # markers first, depth after them
             self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.contact.friction)

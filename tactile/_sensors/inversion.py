@@ -10,6 +10,7 @@ Only the nodes of a region are unknowns; the region follows the contact. The ans
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,8 @@ from .observation import Wrench
 if TYPE_CHECKING:
     from loadid._families.static import StaticInversion
 
+    from .gaussian import Band
+
 
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
@@ -53,7 +56,7 @@ class Inverse(ReadOnly):
     `matrix` G (n, m) gives loads per whitened reading, in single precision where it is large; `influence` A = H G (m,
     m) what is predicted at a reading per unit of another; `std` (n,) is posterior; `resultant` R (6, n) force and
     moment of unit loads; `reach` C R^T (n, 6); `loss` R (G H - I) (6, n) what regularisation takes from the resultant
-    of a load.
+    of a load; `band` what std and resultants are made of under a contact prior.
     """
 
     matrix: NDArray[np.floating[Any]]
@@ -66,6 +69,7 @@ class Inverse(ReadOnly):
     lam: float
     scale: float
     rule: str
+    band: Band | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -208,7 +212,8 @@ class _Region:
         H = owner.H[:, self.columns].astype(float) * self.flip
         H[lost] = 0.0
         # few unknowns, many readings: a QR leaves a square problem for all frames on this region
-        self.Q, self.A = qr(np.vstack([H, np.diag(owner.prior[self.columns])]), mode="economic", check_finite=False)
+        penalty = owner.penalty(nodes) if callable(owner.penalty) else np.diag(owner.penalty[self.columns])
+        self.Q, self.A = qr(np.vstack([H, penalty]), mode="economic", check_finite=False)
         self.Q = np.asfortranarray(self.Q[: len(H)])
         self.gram = gram_of(self.A)
         self.R = owner.resultant[:, self.columns] * self.flip
@@ -242,14 +247,16 @@ class _Region:
 class RegionSolver:
     """Constrained maps on the region of contact; a friction of None only forbids pulling.
 
-    From the whitened transfer matrix H (m, n), the weight of each load in the penalty, absolute lambda included (n,),
-    the resultants (6, n) of unit loads, and which nodes share a cell, sparse (P, P).
+    From the whitened transfer matrix H (m, n), the penalty, absolute lambda included (its weight of each load (n,), or
+    a function that gives L of some nodes), the resultants (6, n) of unit loads, and which nodes share a cell, sparse
+    (P, P).
     """
 
     def __init__(
-        self, H: Array, prior: Array, resultant: Array, neighbours: Any, friction: float | None = None
-    ) -> None:
-        self.H, self.prior, self.resultant = np.asfortranarray(H), prior, resultant
+        self, H: Array, penalty: Array | Callable[[Index], Array], resultant: Array, neighbours: Any,
+        friction: float | None = None,
+    ) -> None:  # fmt: skip
+        self.H, self.penalty, self.resultant = np.asfortranarray(H), penalty, resultant
         self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
         self._state: tuple[_Region | None, ActivePoint | None] = None, None  # of the last frame: one value, for threads
 

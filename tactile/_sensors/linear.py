@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -23,8 +23,12 @@ from structures.errors import InputError
 
 from .. import _guards as guards
 from .._arrays import Array, Mask
+from .._pad.tolerances import Tolerances
 from .._results.forcemap import ForceFacts, ForceMap
+from .errors import errors
 from .fixed import QuickMap, whole_motion
+from .gaussian import GaussianProblem, ModelError, around
+from .image import ImageMotion
 from .inversion import Inverse, Pressed, prepare
 from .marked import FEWEST, ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
@@ -33,6 +37,7 @@ from .posing import (
     StrainWatch,
     calibrated,
     channels,
+    chosen_on,
     constrained,
     constraints,
     cut,
@@ -41,13 +46,19 @@ from .posing import (
     neighbours,
     of_pad,
     resultant_covariance,
+    together,
 )
+from .prior import ContactPrior
 
 if TYPE_CHECKING:
     from loadid._families.frozen import Calibration
+    from loadid._inverse.choice import Choice
 
     from .._pad.pad import Pad
     from ..vision._eye import Eye
+
+
+AROUND = 0.3  # thicknesses about a node within which a load is taken to be of one size
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +67,8 @@ class PressedBody:
 
     `transfer` takes points (n, 2 or 3) and a function that combines rows of their motion, and returns the rows (rows,
     loads); `geometry` is as `tactile._sensors.posing` makes it; thickness in m, None for a half-space; `basis` is for
-    penalties between neighbours, `flags` what was found of the body, `about` goes into the provenance.
+    penalties between neighbours, `flags` what was found of the body, `about` goes into the provenance; `errors` takes
+    the transfer matrix and its parts and gives what the model may be wrong by.
     """
 
     body: Any
@@ -66,6 +78,7 @@ class PressedBody:
     basis: Any = None
     flags: Sequence[Flag] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
+    errors: Callable[[Array, Sequence[Any]], Sequence[ModelError]] = lambda transfer, parts: ()
 
 
 class LinearSensor(MarkedSensor):
@@ -94,33 +107,59 @@ class LinearSensor(MarkedSensor):
         choice: Any = None,
         noise_source: NoiseSourceLike = None,
         contact: ContactLaw | None = None,
+        image: ImageMotion | None = None,
         allow: Sequence[str] = (),
     ) -> None:
         super().__init__(markers, eye, depth, contact or ContactLaw())
         self.pressed_body, self.geometry = body, body.geometry
-        rows, sensors = [body.transfer(self.markers.points, self.markers.rows)], list(self.markers.channels)
+        parts: list[tuple[Array, Callable[[Any], Any]]] = [(self.markers.points, self.markers.rows)]
+        sensors = list(self.markers.channels)
         if depth is not None:
-            rows.append(body.transfer(depth.samples, depth.rows))
+            parts.append((depth.samples, depth.rows))
             sensors += depth.channels
+        rows = [body.transfer(at, pick) for at, pick in parts]
         points, basis = len(self.geometry["coordinates"]), body.basis
         self.loads = channels(points, self.geometry["kind"])
         kept = self.contact.loads(points)
         self.kept = np.arange(3 * points) if kept is None else kept
         self._whole = kept is None
         H, resultant = stacked(rows), self.geometry["resultant"]
+        whole = H
         if kept is not None:
             penalty, basis = cut(penalty, basis, kept), None
             H, resultant = H[:, kept], resultant[:, kept]
         self.resultant = resultant
         self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
-        self.family = StaticInversion(
-            self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
-        )
+        self.prior = penalty if isinstance(penalty, ContactPrior) else None
+        self.problem: GaussianProblem | None = None
+        if self.prior is None:
+            self.family = StaticInversion(
+                self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
+            )
+        else:
+            self.problem = self._posed(self.prior, image, lambda: body.errors(whole, parts))
+            self.family = self.problem.family(choice, noise_source, allow)
         self._quick: dict[bool, QuickMap] = {}
 
     def __repr__(self) -> str:
         rows, loads = self.model.H.shape
         return f"<{type(self).__name__}: {len(self.markers)} markers, {rows} readings, {loads} loads>"
+
+    def _posed(
+        self, prior: ContactPrior, image: ImageMotion | None, errors: Callable[[], Sequence[ModelError]]
+    ) -> GaussianProblem:
+        """The problem of all readings under a contact prior."""
+        places = self.geometry["coordinates"][self.kept[::3] // 3]
+
+        @cache
+        def found() -> list[ModelError]:
+            return [ModelError(e.name, np.asarray(e.change[:, self.kept])) for e in errors()]
+
+        return GaussianProblem(
+            self.model.H, self.model.sensors, np.array([s.noise for s in self.model.sensors], float),
+            prior.on(places, self._thick), None if image is None else image.over(self.markers, self.depth), found,
+            self.resultant, around(places, AROUND * self._thick),
+        )  # fmt: skip
 
     # -- doing --------------------------------------------------------------------------------------------------------
     def estimate(self, found: ArrayLike, depth: DepthMap | None = None, *, wrench: Wrench | None = None) -> ForceMap:
@@ -149,7 +188,9 @@ class LinearSensor(MarkedSensor):
             What neither readings nor penalty determine.
         """
         y, flags = self._of_frame(found, depth, wrench)
-        return self._at_once(y, wrench, flags) if self.frozen else self._thorough(y, wrench, flags)
+        if self.frozen:
+            return self._mapped(self._quick_map(self._deep(y)), y, wrench, flags)
+        return self._thorough(y, wrench, flags) if self.problem is None else self._chosen(y, wrench, flags)
 
     def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
         """Choose one lambda over calibration presses, and freeze it.
@@ -180,7 +221,8 @@ class LinearSensor(MarkedSensor):
         if isinstance(self.family.choice, int | float):
             self.family.choice = None  # presses tell more than the number that was given
         family = self.family if whole else fewer(self.family, self._named(seen))
-        self.family.calibration = calibrated(family, [y[seen] for y in listed])
+        found = [y[seen] for y in listed]
+        self.family.calibration = calibrated(family, found) if self.problem is None else together(family, found)
         return self.family.calibration
 
     def pressed(self, y: Array) -> Pressed:
@@ -233,31 +275,59 @@ class LinearSensor(MarkedSensor):
     # -- steps --------------------------------------------------------------------------------------------------------
     def _quick_map(self, with_depth: bool) -> QuickMap:
         if with_depth not in self._quick:
-            nodes = self.kept[::3] // 3
-            places = self.geometry["coordinates"]
-            linked = neighbours(self.geometry["cells"], places)
-            self._quick[with_depth] = QuickMap(
-                self.family if with_depth else fewer(self.family, [s.label for s in self.markers.channels]),
-                self.resultant,
-                places[nodes],
-                linked[nodes][:, nodes],
-                self.markers.points[:, :2],
-                len(self.markers.axes),
-                self._thick,
-                np.asarray(self.geometry["about"], float),
-                self.contact,
-            )
+            self._quick[with_depth] = self._new_map(with_depth)
         return self._quick[with_depth]
 
-    def _at_once(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
-        """The map at the frozen lambda."""
-        count = self.markers.readings_count
-        depth = self.depth is None or bool(np.isfinite(y[count:]).any())
-        quick = self._quick_map(depth)
+    def _new_map(self, with_depth: bool, choice: Choice | None = None) -> QuickMap:
+        nodes, places = self.kept[::3] // 3, self.geometry["coordinates"]
+        linked = neighbours(self.geometry["cells"], places)
+        rows = slice(None) if with_depth else slice(self.markers.readings_count)
+        return QuickMap(
+            self.family if with_depth else fewer(self.family, [s.label for s in self.markers.channels]),
+            self.resultant,
+            places[nodes],
+            linked[nodes][:, nodes],
+            self.markers.points[:, :2],
+            len(self.markers.axes),
+            self._thick,
+            np.asarray(self.geometry["about"], float),
+            self.contact,
+            None if self.problem is None else self.problem.on(rows),
+            choice,
+        )
+
+    def _deep(self, y: Array) -> bool:
+        """Whether readings (m,) hold those of a depth map, or none are expected."""
+        return self.depth is None or bool(np.isfinite(y[self.markers.readings_count :]).any())
+
+    def _chosen(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
+        """The map at a lambda that is chosen on this frame, under a contact prior."""
+        seen = np.isfinite(y)
+        family = self.family if seen.all() else fewer(self.family, self._named(seen))
+        choice = chosen_on(family, y[seen])
+        found = self._mapped(self._new_map(self._deep(y), choice), y, wrench, flags)
+        rest = y - self.model.H @ found.load[self._columns]
+        if found.facts.image is not None and self.problem is not None and self.problem.motion is not None:
+            rest = rest - self.problem.motion.columns[:, : len(found.facts.image)] @ found.facts.image
+        channels = [c for c, there in zip(self.model.sensors, seen, strict=True) if there]
+        return replace(
+            found, choice=choice, response=y[seen], residual=rest[seen], sensors=[c.label for c in channels],
+            sensor_units=[c.unit for c in channels],
+        )  # fmt: skip
+
+    def _mapped(self, quick: QuickMap, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
+        """The map at the lambda of a frozen inverse."""
+        count, depth = self.markers.readings_count, self._deep(y)
         found = quick(y if depth else y[:count], wrench)
         facts = replace(found.facts, provided=self.provided(depth and self.depth is not None))
-        spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
-        moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
+        if found.image is not None:
+            image = found.image
+            facts = replace(facts, image=tuple(map(float, image.values)), image_std=tuple(map(float, image.std)))
+        if found.image is None:
+            spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
+            moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
+        else:
+            moved = guards.moved(found.image, None if self.eye is None else self.eye.pixel)
         load, std = self._scattered(found.load), self._scattered(found.std)
         return ForceMap(
             load=load,
@@ -345,6 +415,23 @@ class LinearSensor(MarkedSensor):
         out[self.kept] = values
         return out
 
+    @property
+    def _columns(self) -> Any:
+        """Which of the loads of the surface are unknowns."""
+        return slice(None) if self._whole else self.kept
+
+    @property
+    def _penalty(self) -> str | None:
+        if self.prior is not None:
+            return repr(self.prior)
+        return self.family.penalty if isinstance(self.family.penalty, str | None) else "matrix"
+
+    @property
+    def _expected(self) -> str:
+        if self.prior is not None:
+            return "presses anywhere, of any radius between two"
+        return "white prior on the load of every node" if self.family.L is None else "smooth load"
+
     @cached_property
     def _labels(self) -> tuple[str, ...]:
         return tuple(c.label for c in self.loads)
@@ -360,14 +447,14 @@ class LinearSensor(MarkedSensor):
             self.name,
             settings={
                 **self.pressed_body.about,
-                "penalty": family.penalty if isinstance(family.penalty, str | None) else "matrix",
+                "penalty": self._penalty,
                 "no_pull": self.contact.no_pull,
                 "friction": self.contact.friction,
                 "calibration": None if family.calibration is None else str(family.calibration),
             },
             inputs={},
             model=self.model.fingerprint,
-            prior="white prior on the load of every node" if family.L is None else "smooth load",
+            prior=self._expected,
         )
 
 
@@ -389,8 +476,14 @@ class MultilayerPad(LinearSensor):
         Side of the windows about the surface nodes over which depth is averaged (m); the pitch of the mesh.
     eye : Eye, optional
         Turns images into motion.
+    image : ImageMotion or None
+        What camera and gel may have moved as a whole, beside the load; None if they are known to be fast. Under a
+        contact prior.
+    tolerances : Tolerances
+        How well modulus, Poisson's ratio and thickness of the pad are known; in the band under a contact prior, as is
+        the error of the mesh.
     penalty, choice, noise_source, contact, allow
-        See `tactile._sensors.marked.InversionSettings`.
+        See `tactile._sensors.marked.InversionSettings`; the penalty is a `ContactPrior` where none is given.
 
     Raises
     ------
@@ -409,9 +502,12 @@ class MultilayerPad(LinearSensor):
         depth: DepthMap | None = None,
         depth_width: float | None = None,
         eye: Eye | None = None,
+        image: ImageMotion | None = ImageMotion(),  # noqa: B008  (frozen)
+        tolerances: Tolerances = Tolerances(),  # noqa: B008
         **settings: Unpack[InversionSettings],
     ) -> None:
         self.pad, self._strain = pad, StrainWatch(pad)
+        settings.setdefault("penalty", ContactPrior())
         if eye is not None:
             settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
@@ -419,8 +515,8 @@ class MultilayerPad(LinearSensor):
         given = observed(markers, eye)
         super().__init__(
             PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags,
-                        {"pad": repr(pad), "markers": len(given)}),
-            given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), **settings,
+                        {"pad": repr(pad), "markers": len(given)}, partial(errors, pad, tolerances, mass)),
+            given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), image=image, **settings,
         )  # fmt: skip
 
     def _gel(self) -> Pad:

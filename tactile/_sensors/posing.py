@@ -11,14 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
 
 from loadid._families import smoothness
+from loadid._families.data import readings
 from loadid._families.static import StaticInversion
-from loadid._inverse.rules import discrepancy_level
+from loadid._inverse import rules
+from loadid._inverse.rules import RuleResult, Sweep, discrepancy_level
 from loadid.constraints import Bounds, Constraint, FrictionCone, Resultant
 from structures._channels import Channel
 from structures._flags import Flag
@@ -205,7 +208,45 @@ def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:
     raise AssertionError("a rule or its refusal")
 
 
-def _with_rule(family: StaticInversion, rule: str) -> StaticInversion:
+THREE = ("upre", "gcv", "evidence")
+APART = 2.0  # decades between the outer ones of the three from which they say nothing together
+
+
+def middle(sweep: Sweep) -> RuleResult:
+    """The middle one of UPRE at the stated noise, GCV, and the evidence without a level: no two fail for one reason.
+
+    UPRE errs where the noise level is wrong, GCV where few data are left or noise is correlated, the evidence where the
+    load is unlike its prior.
+    """
+    free = replace(sweep, sigma=None)
+    asked = [rules.run(name, free if name == "evidence" else sweep) for name in THREE]
+    told = sorted((r for r in asked if r.lam is not None), key=lambda r: float(r.lam or 0.0))
+    if not told:
+        raise rules.Refusal("none of UPRE, GCV and the evidence finds a lambda")
+    return replace(told[len(told) // 2], rule=middle.__name__)
+
+
+def chosen_on(family: StaticInversion, y: Array) -> Choice:
+    """Lambda of readings (m,); where no rule is set, by the middle of three."""
+    asked = family if family.choice is not None else _with_rule(family, middle)
+    found = asked.choose(asked.pose(readings(y, family.model, family.sensors)))
+    return found if family.choice is not None else replace(found, rule=middle.__name__)
+
+
+def together(family: StaticInversion, records: Sequence[Array]) -> Calibration:
+    """One lambda for readings (m,) of several frames; where no rule is set, by the middle of three."""
+    if family.choice is not None:
+        return family.calibrate(records)
+    return replace(_with_rule(family, middle).calibrate(list(records)), rule=middle.__name__)
+
+
+def apart(choices: Sequence[Choice]) -> float:
+    """Decades between the outer ones of the three rules, the most over some choices."""
+    found = [[r.lam for r in c.rules if r.rule in THREE and r.lam] for c in choices]
+    return max((float(np.log10(max(lams) / min(lams))) for lams in found if lams), default=0.0)
+
+
+def _with_rule(family: StaticInversion, rule: Any) -> StaticInversion:
     """The same family with a rule of its own: the one of the sensor, which threads may share, stays as it is."""
     other = copy(family)
     other.choice = rule

@@ -1,6 +1,6 @@
-"""What is known before any reading: that loads are contacts, and that a camera or a gel may move as a whole.
+"""What is known of loads before any reading: that they are contacts.
 
-The contact prior is the covariance of an ensemble of presses: anywhere on the surface, of any radius between two, flat
+The prior is the covariance of an ensemble of presses: anywhere on the surface, of any radius between two, flat
 or round, with a shear of its own. Over places it is stationary, and a function of distance alone,
 
     k(d) = integral S(k) J0(k d) k dk,   S(k) = mean over the radii of |p(k)|^2,
@@ -13,10 +13,8 @@ found of a press is what its prior says of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -24,10 +22,6 @@ from scipy.linalg import solve_triangular
 from structures.errors import InputError, pair, positive
 
 from .._arrays import Array, Index
-
-if TYPE_CHECKING:
-    from .observation import Depths, Markers
-
 
 RADII = 12  # of the ensemble, evenly on a logarithmic scale
 WAVES, REACH = 6000, 60.0  # numbers over which S is summed, up to this over the smallest radius
@@ -127,89 +121,15 @@ class PosedPrior:
         W = solve_triangular(np.linalg.cholesky(self.matrix[np.ix_(nodes, nodes)]), np.eye(len(nodes)), lower=True)
         return np.kron(W, np.diag(1 / np.sqrt(self.share)))
 
+    def modes(self, nodes: Index, count: int) -> Array:
+        """The strongest patterns of tractions at some nodes (3 k, 3 count or fewer), times their std."""
+        w, V = np.linalg.eigh(self.matrix[np.ix_(nodes, nodes)])
+        strongest = np.sqrt(np.maximum(w[::-1][:count], 0.0)) * V[:, ::-1][:, :count]
+        return np.kron(strongest, np.diag(np.sqrt(self.share)))
+
     @staticmethod
     def _each(rows: Array, matrix: Array, factor: Array) -> Array:
         out = np.empty_like(rows)
         for c, f in enumerate(factor):
             out[:, c::3] = f * (rows[:, c::3] @ matrix)
         return out
-
-
-SHARE = 0.02  # of the longer side of the pattern: std of what camera and gel may have moved
-CREEP = 2e-5  # m, of normal motion that all markers or pixels share
-
-
-@dataclass(frozen=True)
-class ImageMotion:
-    """Motion of the whole image that is no load: camera or gel have slipped, or the gel has crept.
-
-    Shift, turn and scale of the image and a common offset of the normal motion are unknowns beside the load, told by
-    the markers that no contact reaches; what they leave open is in the band.
-
-    Parameters
-    ----------
-    shift : float, optional
-        Std of the shift along x and y (m); turn and scale move the rim of the pattern as far. 2 % of the longer side of
-        the pattern, where not given.
-    offset : float
-        Std of the offset of normal motion (m): tracked, or of a depth map, whose brightness drifts.
-
-    Raises
-    ------
-    InputError
-        Numbers that are not positive.
-    """
-
-    shift: float | None = None
-    offset: float = CREEP
-
-    def __post_init__(self) -> None:
-        if self.shift is not None:
-            object.__setattr__(self, "shift", positive("the shift", self.shift, where="ImageMotion", unit="m"))
-        object.__setattr__(self, "offset", positive("the offset", self.offset, where="ImageMotion", unit="m"))
-
-    def over(self, markers: Markers, depth: Depths | None) -> PosedMotion:
-        """The motion in the readings of markers, and of a depth map after them."""
-        places = markers.points[:, :2]
-        about = (places.min(axis=0) + places.max(axis=0)) / 2
-        x, y = (places - about).T
-        side = float(np.ptp(places, axis=0).max())
-        shift = SHARE * side if self.shift is None else self.shift
-        turn = shift / (side / 2)
-        one, zero = np.ones(len(places)), np.zeros(len(places))
-        columns = [(one, zero, zero), (zero, one, zero), (-y, x, zero), (x, y, zero)]
-        std = [shift, shift, turn, turn]
-        if markers.axes == "XYZ":
-            columns.append((zero, zero, one))
-            std.append(self.offset)
-        rows = np.array([np.column_stack(c)[:, : len(markers.axes)].ravel() for c in columns]).T
-        if depth is not None:
-            count = len(depth.points)
-            rows = np.pad(rows, ((0, count), (0, 1)))
-            rows[-count:, -1] = 1.0
-            std.append(self.offset)
-        return PosedMotion(rows, np.array(std), about)
-
-
-@dataclass(frozen=True, eq=False)
-class PosedMotion:
-    """What a unit of each unknown motion makes of the readings, `columns` (m, q), its `std` (q,), and about what place.
-
-    The first four are the shift along x and y (m), the turn (rad) and the stretch of the image.
-    """
-
-    columns: Array
-    std: Array
-    about: Array
-
-    @property
-    def scaled(self) -> Array:
-        """Readings (m, q) that one std of each makes."""
-        return self.columns * self.std
-
-    def of(self, rows: Index | slice) -> PosedMotion:
-        """That of some readings."""
-        return PosedMotion(self.columns[rows], self.std, self.about)
-
-
-RIGID: Sequence[str] = ("shift x", "shift y", "turn", "stretch")

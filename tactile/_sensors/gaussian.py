@@ -1,0 +1,271 @@
+"""Loads that are contacts, and a model that errs: one linear Gaussian problem.
+
+    y = H t + e,   t ~ s^2 C,   e ~ R,   lambda = 1 / s
+
+With ``S = H C H' + lambda^2 R`` the load is ``t = C H' S^-1 y``, one product, and ``I - lambda^2 R S^-1`` predicts
+every reading from all (A. Tarantola, Inverse Problem Theory, SIAM 2005, ch. 3).
+
+The std of a Gaussian posterior would be that of the average over a pad most of which carries nothing. But errors are
+where the load is: of a unit of prior variance at a node the readings leave a known share unseen (``(I - G H) C (I - G
+H)'``), and errors of the model a known share misread (``G dH C dH' G'``). Both are multiplied by the size of the load
+around the node, as it was found and over the share of it that could be found. The mesh's error is told by the same pad
+with half the mesh (L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307), errors of E, nu and thickness by its
+derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, qr
+
+from loadid._families.static import StaticInversion
+from loadid._inverse.problem import NoiseSourceLike
+from loadid.settings import Noise
+from structures._channels import Channel
+from structures._models.arrays import MatrixModel
+
+from .._arrays import Array, Mask
+from .inversion import LARGE, Answer, Inverse, fused
+from .observation import Wrench
+from .prior import PosedPrior
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+    from .image import PosedMotion
+
+SEEN = 0.02  # least share of the variance of a component from which its size is told
+SHARE, CLEAR = 0.25, 5.0  # of the largest load, and of the noise, above which a node is loaded
+SIDEWAYS = 0.2  # shear over pressure that any contact may have, unseen
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """What one std of an error of the model adds to the transfer matrix (m, n), by name."""
+
+    name: str
+    change: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorRows:
+    """Of one error of the model: changes of the resultant (6, n) of a load, and variances (n,) of a prior unit."""
+
+    rows: Array
+    spread: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """How far loads may be off that were found by one product: variances by noise, by what is unseen, by the model.
+
+    `noise` (n,) is the variance by noise, `unseen` (n,) that of a unit of prior variance, `found` (n,) the share of
+    such a unit that is found. `asked` (6, m) are resultants of whitened readings; `missed` (6, n) is what they lack of
+    a load, `errors` what errors of the model make of it. `near` gives, for the nodes of the surface, those around them.
+    """
+
+    prior: PosedPrior
+    noise: Array
+    unseen: Array
+    found: Array
+    asked: Array
+    missed: Array
+    errors: Sequence[ErrorRows]
+    near: Any
+
+    def sizes(self, load: Array) -> Array:
+        """Variance around each load (n,) over that of the prior, as a load (n,) that was found tells."""
+        beyond = np.maximum(load**2 - self.noise, 0.0).reshape(-1, 3)
+        unit = (self.found * self.prior.variance).reshape(-1, 3)
+        least = SEEN * self.prior.variance.reshape(-1, 3)
+        normal = beyond[:, 2] / np.maximum(unit[:, 2], least[:, 2])
+        shear = beyond[:, :2].sum(axis=1) / np.maximum(unit[:, :2], least[:, :2]).sum(axis=1)
+        normal, shear = (_largest(self.near, v) for v in (normal, shear))
+        shear = np.maximum(shear, SIDEWAYS**2 * self.prior.share[2] / self.prior.share[0] * normal)
+        return np.column_stack([shear, shear, normal]).ravel()
+
+    def loaded(self, load: Array) -> Mask:
+        """Nodes (P,) that carry a load (n,): clear of noise, and no small share of the largest."""
+        size = (load**2 / (np.maximum(self.found, SEEN) * self.prior.variance)).reshape(-1, 3).sum(axis=1)
+        chance = (load**2 / self.noise).reshape(-1, 3).max(axis=1)
+        return np.asarray((size > SHARE**2 * size.max(initial=0.0)) & (chance > CLEAR**2))
+
+    def std(self, load: Array, wide: float) -> Array:
+        """Std of each load (n,), where noise is `wide` times as large as stated."""
+        size = self.sizes(load) * self.prior.variance
+        shares = self.unseen + sum((e.spread for e in self.errors), np.zeros_like(size))
+        return np.sqrt(wide**2 * self.noise + size * shares)
+
+    def covariance(self, load: Array, wide: float) -> Array:
+        """Covariance (6, 6) of the resultant."""
+        root = np.sqrt(self.sizes(load))
+        out = wide**2 * (self.asked @ self.asked.T)
+        for rows in (self.missed, *(e.rows for e in self.errors)):
+            local = rows * root
+            out = out + self.prior.times(local) @ local.T
+        for error in self.errors:
+            one = error.rows @ load
+            out = out + np.outer(one, one)
+        return np.asarray(out)
+
+    def around(
+        self, answer: Answer, inverse: Inverse, wide: float, wrench: Wrench | None
+    ) -> tuple[Array, Array, Array]:
+        """Load (n,), its std and the covariance (6, 6) of its resultant; conditioned on a wrench, where there is one.
+
+        Of readings that are lost the posterior says how much wider it all is.
+        """
+        load, std, covariance = answer.load, self.std(answer.load, wide), self.covariance(answer.load, wide)
+        if answer.std is not inverse.std:
+            std = np.sqrt(std**2 + np.maximum(answer.std**2 - inverse.std**2, 0.0))
+            covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
+        if wrench is None:
+            return load, std, covariance
+        # the errors of a load and of its resultant go together as those of the posterior, in shares of their size
+        size = std / np.maximum(answer.std, np.finfo(float).tiny)
+        ratio = np.sqrt(np.diag(covariance) / np.diag(answer.wrench))
+        found = fused(Answer(load, std, covariance, size[:, None] * answer.reach * ratio), inverse.resultant, wrench)
+        return found.load, found.std, found.wrench
+
+
+def _largest(near: sparse.csr_array, values: Array) -> Array:
+    """Largest of values (P,) around each node; every node is around itself."""
+    return np.asarray(np.maximum.reduceat(values[near.indices], near.indptr[:-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianProblem:
+    """Readings of a sensor under a contact prior.
+
+    Parameters
+    ----------
+    H : array (m, n)
+        Readings per unit of each load.
+    sensors : sequence of Channel
+    noise : array (m,)
+        Std of the readings.
+    prior : PosedPrior
+    motion : PosedMotion or None
+        Of the whole image.
+    errors : callable
+        Gives those of the model, once.
+    resultant : array (6, n)
+    near : sparse (P, P)
+        Nodes around each node.
+    """
+
+    H: Array
+    sensors: Sequence[Channel]
+    noise: Array
+    prior: PosedPrior
+    motion: PosedMotion | None
+    errors: Callable[[], Sequence[ModelError]]
+    resultant: Array
+    near: Any
+
+    def on(self, rows: Any) -> GaussianProblem:
+        """The problem of some readings, a mask or a slice."""
+        kept = np.arange(len(self.noise))[rows]
+        return GaussianProblem(
+            self.H[kept], [self.sensors[i] for i in kept], self.noise[kept], self.prior,
+            None if self.motion is None else self.motion.of(kept),
+            lambda: [ModelError(e.name, e.change[kept]) for e in self.errors()], self.resultant, self.near,
+        )  # fmt: skip
+
+    @cached_property
+    def whitened(self) -> Array:
+        """H of readings over their noise (m, n)."""
+        return self.H / self.noise[:, None]
+
+    @property
+    def moved(self) -> Array:
+        """What one std of every motion of the image makes of readings over their noise (m, q)."""
+        if self.motion is None:
+            return np.zeros((len(self.noise), 0))
+        return self.motion.scaled / self.noise[:, None]
+
+    @cached_property
+    def _spread(self) -> tuple[Array, Array]:
+        """H C (m, n) and H C H' (m, m) of readings over their noise."""
+        HC = self.prior.times(self.whitened)
+        K = HC @ self.whitened.T
+        return HC, (K + K.T) / 2
+
+    def family(self, choice: Any, source: NoiseSourceLike, allow: Sequence[str]) -> StaticInversion:
+        """The family whose rules choose lambda: the same data, in as few coefficients of the load as there are data."""
+        roots = self.prior.roots(self.H)
+        if roots.shape[0] < roots.shape[1]:
+            roots = qr(roots.T, mode="r", check_finite=False)[0][: len(roots)].T
+        loads = [Channel(label=f"c{i}", quantity="arbitrary") for i in range(roots.shape[1])]
+        level = np.diag(self.noise**2)
+        if self.motion is not None:
+            level += self.motion.scaled @ self.motion.scaled.T
+        return StaticInversion(
+            MatrixModel(roots, sensors=list(self.sensors), loads=loads), penalty="identity", choice=choice,
+            noise=Noise(level, source=source), allow=list(allow),
+        )  # fmt: skip
+
+    def inverse(self, lam: float, scale: float, rule: str) -> Inverse:
+        """One product from readings to loads, at a lambda that is relative to `scale`, and its band."""
+        H, x = self.whitened, lam * scale
+        HC, K = self._spread
+        S = K + x**2 * np.eye(len(K))
+        factor = cho_factor(S, lower=True, overwrite_a=True, check_finite=False)
+        matrix = cho_solve(factor, HC, check_finite=False).T
+        left = x**2 * cho_solve(factor, np.eye(len(K)), check_finite=False)  # of every reading, what no other predicts
+        R = self.resultant
+        RG = R @ matrix
+        GK, C = matrix @ K, self.prior.variance
+        both = np.einsum("nm,mn->n", matrix, HC)
+        unseen = np.maximum(C - 2 * both + np.einsum("nm,nm->n", GK, matrix), 0.0)
+        band = Band(
+            prior=self.prior,
+            noise=np.einsum("nm,nm->n", matrix, matrix),
+            unseen=unseen / C,
+            found=np.einsum("nm,nm->n", GK, matrix) / C,
+            asked=RG,
+            missed=RG @ H - R,
+            errors=[self._error(e, RG, matrix, C) for e in self.errors()],
+            near=self.near,
+        )
+        return Inverse(
+            matrix=np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float),
+            influence=np.eye(len(K)) - left,
+            noise=self.noise,
+            std=np.sqrt(np.maximum(C - both, 0.0)) / x,
+            resultant=R,
+            reach=self._reach(factor, HC, x),
+            loss=RG @ H - R,
+            lam=float(lam),
+            scale=float(scale),
+            rule=rule,
+            band=band,
+        )
+
+    def _reach(self, factor: Any, HC: Array, x: float) -> Array:
+        """Posterior covariance of the load with its resultant (n, 6), of a load of average size."""
+        R = self.resultant
+        HCR = self.whitened @ self.prior.times(R).T
+        return np.asarray(self.prior.times(R).T - HC.T @ cho_solve(factor, HCR, check_finite=False)) / x**2
+
+    def _error(self, error: ModelError, asked: Array, matrix: Array, C: Array) -> ErrorRows:
+        change = error.change / self.noise[:, None]
+        made = self.prior.times(change) @ change.T
+        return ErrorRows(asked @ change, np.einsum("nm,nm->n", matrix @ made, matrix) / C)
+
+
+def around(places: Array, radius: float) -> sparse.csr_array:
+    """Which of places (P, 3) lie within a radius of each, themselves included."""
+    from scipy import sparse
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(places)
+    pairs = tree.query_pairs(radius, output_type="ndarray")
+    own = np.arange(len(places))
+    i, j = np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
+    return sparse.csr_array((np.ones(len(i)), (i, j)), shape=(len(places), len(places)))
