@@ -234,7 +234,7 @@ class QuickMap:
     def _prepared(self) -> Inverse:
         family = self.family
         if self.choice is not None and self.problem is not None:
-            return self.problem.inverse(self.choice.lam, self.choice.scale, self.choice.rule)
+            return self.problem.inverse(self.choice.lam * self.choice.scale / self.problem.scale, self.choice.rule)
         lam = family.calibration.lam if family.calibration is not None else family.choice
         if not isinstance(lam, int | float):
             raise InputError(
@@ -244,7 +244,7 @@ class QuickMap:
         rule = "given" if family.calibration is None else family.calibration.rule
         if self.problem is None:
             return prepare(family, self.resultant, float(lam), rule)
-        return self.problem.inverse(float(lam), float(family.at_rest().base.scale), rule)
+        return self.problem.inverse(float(lam), rule)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
         """The map that only presses, where the unconstrained answer does; not for penalties that couple loads."""

@@ -1,9 +1,10 @@
 """Loads that are contacts, and a model that errs: one linear Gaussian problem.
 
-    y = H t + e,   t ~ s^2 C,   e ~ R,   lambda = 1 / s
+    y = (H + dH) t + e,   t ~ s^2 C,   e ~ R,   lambda = 1 / s
 
-With ``S = H C H' + lambda^2 R`` the load is ``t = C H' S^-1 y``, one product, and ``I - lambda^2 R S^-1`` predicts
-every reading from all (A. Tarantola, Inverse Problem Theory, SIAM 2005, ch. 3).
+With ``S = H C H' + dH C dH' + lambda^2 R`` the load is ``t = C H' S^-1 y``, one product, and ``I - lambda^2 R S^-1``
+predicts every reading from all (A. Tarantola, Inverse Problem Theory, SIAM 2005, ch. 3; errors of a model beside noise:
+J. Kaipio & E. Somersalo, J. Comput. Appl. Math. 198 (2007) 493).
 
 The std of a Gaussian posterior would be that of the average over a pad most of which carries nothing. But errors are
 where the load is: of a unit of prior variance at a node the readings leave a known share unseen (``(I - G H) C (I - G
@@ -16,12 +17,12 @@ derivatives.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.linalg import cho_factor, cho_solve
 
 from loadid._families.static import StaticInversion
 from loadid._inverse.problem import NoiseSourceLike
@@ -41,15 +42,21 @@ if TYPE_CHECKING:
 
 SEEN = 0.02  # least share of the variance of a component from which its size is told
 SHARE, CLEAR = 0.25, 5.0  # of the largest load, and of the noise, above which a node is loaded
+ROUNDING = 1e-14  # over the trace: what keeps a Cholesky factor of the data real
+FEW = 12  # readings
 SIDEWAYS = 0.2  # shear over pressure that any contact may have, unseen
 
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """What one std of an error of the model adds to the transfer matrix (m, n), by name."""
+    """What one std of an error of the model adds to the transfer matrix (m, n), by name.
+
+    `weight` is by how much it counts more where a load is found than in its band.
+    """
 
     name: str
     change: Array
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +181,7 @@ class GaussianProblem:
         return GaussianProblem(
             self.H[kept], [self.sensors[i] for i in kept], self.noise[kept], self.prior,
             None if self.motion is None else self.motion.of(kept),
-            lambda: [ModelError(e.name, e.change[kept]) for e in self.errors()], self.resultant, self.near,
+            lambda: [replace(e, change=e.change[kept]) for e in self.errors()], self.resultant, self.near,
         )  # fmt: skip
 
     @cached_property
@@ -190,31 +197,42 @@ class GaussianProblem:
         return self.motion.scaled / self.noise[:, None]
 
     @cached_property
-    def _spread(self) -> tuple[Array, Array]:
-        """H C (m, n) and H C H' (m, m) of readings over their noise."""
+    def _spread(self) -> tuple[Array, Array, Array]:
+        """H C (m, n), H C H' (m, m), and the latter with the errors of the model, of readings over their noise."""
         HC = self.prior.times(self.whitened)
         K = HC @ self.whitened.T
-        return HC, (K + K.T) / 2
+        K = (K + K.T) / 2
+        made = K
+        for error in self.errors():
+            change = error.change * (error.weight / self.noise[:, None])
+            made = made + self.prior.times(change) @ change.T
+        return HC, K, (made + made.T) / 2
+
+    @cached_property
+    def scale(self) -> float:
+        """Largest singular value of the whitened operator of all that a load and its errors make: lambda's unit."""
+        from scipy.sparse.linalg import eigsh
+
+        made = self._spread[2]
+        if len(made) < FEW:
+            return float(np.sqrt(np.linalg.eigvalsh(made)[-1]))
+        return float(np.sqrt(eigsh(made, 1, v0=np.ones(len(made)), return_eigenvectors=False)[0]))
 
     def family(self, choice: Any, source: NoiseSourceLike, allow: Sequence[str]) -> StaticInversion:
-        """The family whose rules choose lambda: the same data, in as few coefficients of the load as there are data."""
-        roots = self.prior.roots(self.H)
-        if roots.shape[0] < roots.shape[1]:
-            roots = qr(roots.T, mode="r", check_finite=False)[0][: len(roots)].T
-        loads = [Channel(label=f"c{i}", quantity="arbitrary") for i in range(roots.shape[1])]
-        level = np.diag(self.noise**2)
-        if self.motion is not None:
-            level += self.motion.scaled @ self.motion.scaled.T
+        """The family whose rules choose lambda: the same data, in as many white coefficients as there are readings."""
+        made = self._spread[2]
+        roots = self.noise[:, None] * np.linalg.cholesky(made + ROUNDING * np.trace(made) * np.eye(len(made)))
+        loads = [Channel(label=f"c{i}", quantity="arbitrary") for i in range(len(made))]
         return StaticInversion(
             MatrixModel(roots, sensors=list(self.sensors), loads=loads), penalty="identity", choice=choice,
-            noise=Noise(level, source=source), allow=list(allow),
+            noise=Noise(source=source), allow=list(allow),
         )  # fmt: skip
 
-    def inverse(self, lam: float, scale: float, rule: str) -> Inverse:
-        """One product from readings to loads, at a lambda that is relative to `scale`, and its band."""
-        H, x = self.whitened, lam * scale
-        HC, K = self._spread
-        S = K + x**2 * np.eye(len(K))
+    def inverse(self, lam: float, rule: str) -> Inverse:
+        """One product from readings to loads, at a relative lambda, and its band."""
+        H, x = self.whitened, lam * self.scale
+        HC, K, made = self._spread
+        S = made + x**2 * np.eye(len(K))
         factor = cho_factor(S, lower=True, overwrite_a=True, check_finite=False)
         matrix = cho_solve(factor, HC, check_finite=False).T
         left = x**2 * cho_solve(factor, np.eye(len(K)), check_finite=False)  # of every reading, what no other predicts
@@ -242,7 +260,7 @@ class GaussianProblem:
             reach=self._reach(factor, HC, x),
             loss=RG @ H - R,
             lam=float(lam),
-            scale=float(scale),
+            scale=self.scale,
             rule=rule,
             band=band,
         )

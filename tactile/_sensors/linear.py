@@ -153,7 +153,7 @@ class LinearSensor(MarkedSensor):
 
         @cache
         def found() -> list[ModelError]:
-            return [ModelError(e.name, np.asarray(e.change[:, self.kept])) for e in errors()]
+            return [replace(e, change=np.asarray(e.change[:, self.kept])) for e in errors()]
 
         return GaussianProblem(
             self.model.H, self.model.sensors, np.array([s.noise for s in self.model.sensors], float),
@@ -221,7 +221,7 @@ class LinearSensor(MarkedSensor):
         if isinstance(self.family.choice, int | float):
             self.family.choice = None  # presses tell more than the number that was given
         family = self.family if whole else fewer(self.family, self._named(seen))
-        found = [y[seen] for y in listed]
+        found = [self._steady(y)[seen] for y in listed]
         self.family.calibration = calibrated(family, found) if self.problem is None else together(family, found)
         return self.family.calibration
 
@@ -304,7 +304,7 @@ class LinearSensor(MarkedSensor):
         """The map at a lambda that is chosen on this frame, under a contact prior."""
         seen = np.isfinite(y)
         family = self.family if seen.all() else fewer(self.family, self._named(seen))
-        choice = chosen_on(family, y[seen])
+        choice = chosen_on(family, self._steady(y)[seen])
         found = self._mapped(self._new_map(self._deep(y), choice), y, wrench, flags)
         rest = y - self.model.H @ found.load[self._columns]
         if found.facts.image is not None and self.problem is not None and self.problem.motion is not None:
@@ -314,6 +314,11 @@ class LinearSensor(MarkedSensor):
             found, choice=choice, response=y[seen], residual=rest[seen], sensors=[c.label for c in channels],
             sensor_units=[c.unit for c in channels],
         )  # fmt: skip
+
+    def _steady(self, y: Array) -> Array:
+        """Readings (m,) without the shift that most of them share, where the image may move."""
+        motion = None if self.problem is None else self.problem.motion
+        return y if motion is None else y - motion.columns @ motion.typical(y)
 
     def _mapped(self, quick: QuickMap, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
         """The map at the lambda of a frozen inverse."""
