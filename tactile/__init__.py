@@ -33,6 +33,7 @@ _PUBLIC = {
     "Pad": "tactile._pad.pad",
     "Press": "tactile._closed.presses",
     "Sphere": "tactile._closed.contact",
+    "Tolerances": "tactile._pad.tolerances",
     "View": "tactile.vision._eye",
     "Wrench": "tactile._sensors.observation",
     "frames": "tactile.vision._frames",

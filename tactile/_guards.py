@@ -133,6 +133,27 @@ def too_coarse(layers: int, nu: float, element: str) -> Flag | None:
     )
 
 
+AGREES, EXPLAINED = 2.0, 2.0  # rms of forces, and of motion, over their std
+
+
+def unlike(errors: float, count: int, misfit: float) -> Flag | None:
+    """W117: a gel that is not as its fitted model: forces held out, or motion, by their rms over their std."""
+    advice = (
+        "check base, edges, shape of the surface and units: no modulus, Poisson's ratio or thickness explains these"
+    )
+    if errors > AGREES:
+        return Flag(
+            "W117", Evidence("rms error of held-out forces over their std", errors, AGREES),
+            f"the sensor misses the known force of {count} presses that were held out by {errors:.2g} std",
+            advice,
+        )  # fmt: skip
+    return above(
+        "W117", "rms of the motion that is left over its std", misfit, EXPLAINED,
+        f"the best model leaves {misfit:.2g} times as much of the motion of the presses as it should",
+        f"{advice}; or the presses are no single blunt contacts",
+    )  # fmt: skip
+
+
 # -- images and markers -----------------------------------------------------------------------------------------------
 REJECTED, LOST = 0.02, 0.02  # share of the markers, of the readings
 FROZEN = 0.05  # share of exact repetitions among successive places of a dot

@@ -1,6 +1,6 @@
 """Modulus and Poisson's ratio of a gel from tensile and indentation tests, and what those tests do not show.
 
-E and nu with their std come from tests of the material, or from presses on the gel in its sensor.
+E and nu with their std come from tests of the material, or, with the thickness, from presses on the gel in its sensor.
 """
 
 from __future__ import annotations
@@ -34,12 +34,13 @@ from ._fits import (
     rate_independence,
 )
 from ._fits import modulus as of_curve
+from ._insitu import InSitu, in_situ
 
 if TYPE_CHECKING:
     from .._sensors.linear import LinearSensor
     from .._sensors.observation import DepthMap
 
-__all__ = ["Indentation", "Tensile", "from_tests", "gain", "poisson"]
+__all__ = ["InSitu", "Indentation", "Tensile", "from_tests", "gain", "in_situ", "poisson"]
 
 
 KNOWN = 0.05  # std of Poisson's ratio beyond which the tests do not determine it
