@@ -97,7 +97,7 @@ def apart(found: ForceMap, share: float) -> tuple[Contact, ...]:
     linked = _neighbours(found)[nodes][:, nodes]
     part = connected_components(linked, directed=False)[1]
     clear = max(CLEAR, float(-ndtri(CHANCE / len(mask))))
-    push, spread = -found.forces()[nodes, 2], (found.pressure_std() * found.areas)[nodes]
+    push, spread = found.pressure_of(found.forces())[nodes], (found.pressure_std() * found.areas)[nodes]
     noise = np.bincount(part, spread**2) * np.minimum(np.bincount(part), ALIKE)
     regions = [nodes[part == k] for k in np.flatnonzero(np.bincount(part, push) > clear * np.sqrt(noise))]
     if not regions:
@@ -125,15 +125,15 @@ def _touched(found: ForceMap, share: float) -> tuple[Mask, float]:
 
 
 def _contact(found: ForceMap, mask: Mask, threshold: float, force: Vector) -> Contact:
-    t, areas = found.traction(), found.areas
-    p = -t[:, 2]
+    t, p, areas = found.traction(), found.pressure(), found.areas
     weight = np.where(mask, p, 0.0) * areas
     total = float(weight.sum())
     xy = found.nodes[:, :2]
     centre = weight @ xy / total if total > 0 else np.full(2, np.nan)
     radius = float(np.sqrt(2.5 * (weight @ np.sum((xy - centre) ** 2, axis=1)) / total)) if total > 0 else 0.0
     slip = np.full(len(p), np.nan)
-    slip[mask] = np.hypot(t[mask, 0], t[mask, 1]) / p[mask]
+    n = np.array([[0.0, 0.0, 1.0]]) if found.normals is None else found.normals
+    slip[mask] = np.linalg.norm(t + p[:, None] * n, axis=1)[mask] / p[mask]
     peak = float(p[mask].max() if mask.any() else p.max())
     return Contact(mask, float(areas[mask].sum()), centre, radius, max(peak, 0.0), slip, threshold, force)
 

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from loadid._results.estimate import Axis, LoadEstimate
 from loadid._results.facts import Facts, fact
+from structures._elements.surfaces import at_nodes
 from structures._flags import Flag
 from structures._system.factor import SparseLU
 from structures.errors import InputError
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+LEVEL = 1e-6  # of its side, to which a flat surface is flat
 PROVIDED = ("tracked", "measured", "completed")
 
 
@@ -143,12 +145,26 @@ class ForceMap(LoadEstimate):
         return self._apply(self._solve, g)
 
     def pressure(self) -> Array:
-        """Normal pressure at the nodes (..., P) in Pa, positive where the pad is pressed."""
-        return -self.traction()[..., 2]
+        """Pressure along the normal of the surface at the nodes (..., P) in Pa, positive where the pad is pressed."""
+        return self.pressure_of(self.traction())
+
+    def pressure_of(self, traction: Array) -> Array:
+        """Pressure (..., P) of tractions (..., P, 3) on this surface, both in Pa: along Z where it is flat."""
+        n = self.normals
+        return -traction[..., 2] if n is None else -np.sum(traction * n, axis=-1)
+
+    @cached_property
+    def normals(self) -> Array | None:
+        """Outward unit normals of a curved surface at its nodes (P, 3); None of a flat one, whose normal is Z."""
+        places = self.nodes
+        if self.cells is None or np.ptp(places[:, 2]) <= LEVEL * np.ptp(places[:, 0]):
+            return None
+        return at_nodes(places, self.cells)
 
     def pressure_std(self) -> Array:
         """Std of the pressure at the nodes (..., P) in Pa; of nodal forces over the areas of their nodes."""
-        spread = self._vectors(self.std)[..., 2]
+        each, n = self._vectors(self.std), self.normals
+        spread = each[..., 2] if n is None else np.sqrt(np.sum((each * n) ** 2, axis=-1))
         return spread / self.areas if self._geometry["kind"] == "nodal" else spread
 
     def resultant(self) -> Vector:
