@@ -1,8 +1,8 @@
 """Contact force maps from pad and camera: an application of `structures` and `loadid`.
 
 Closed forms (`Layer`, `HalfSpace`, `Press`, ...), finite-element pads (`Pad`), images to motion (`Eye`, `View`,
-`MarkerTracker`), sensors with one face (`MultilayerPad`, `GelSlim`, `GelForce`), and around them `metrics`, `design`,
-`material` and `GelMonitor`.
+`MarkerTracker`), sensors with one face (`MultilayerPad`, `LayerSensor`, `GelSlim`, `GelForce`), and around them
+`metrics`, `design`, `material` and `GelMonitor`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _PUBLIC = {
     "Interpolation": "tactile.vision._interpolation",
     "Layer": "tactile._closed.layer",
     "LayerGrid": "tactile._closed.gridded",
+    "LayerSensor": "tactile._sensors.layered",
     "MarkerTracker": "tactile.vision._tracker",
     "Markers": "tactile._sensors.observation",
     "Mindlin": "tactile._closed.contact",

@@ -299,6 +299,8 @@ def interpolation_noise(nodes: int, effective: float, rank: int) -> Flag | None:
 
 # -- force maps -------------------------------------------------------------------------------------------------------
 BIAS = 0.02  # share of the resultant that regularisation may take
+LEANING = 0.1  # share of a pressure that is read as shear
+STILL, CUT = 2.0, 0.01  # stds of the noise, and share of the largest motion, at the edge of a window
 SEEN = 0.8  # share of a normal force that must be found
 
 
@@ -402,6 +404,28 @@ def moved(image: ImageShift, pixel: float | None) -> Flag | None:
         f"{np.degrees(image.values[2]):.2g} degrees: that is taken out of the load, and the band holds what it leaves "
         "open",
         "unload the sensor and zero() it again; fasten the camera and the gel",
+    )  # fmt: skip
+
+
+def read_as_shear(share: float, nu: float) -> Flag | None:
+    """W612: no normal load allowed on a gel whose pressure is read as shear to this share, at a wave of 2 pi h."""
+    return above(
+        "W612", "shear read of a pressure, over it", share, LEANING,
+        f"no normal load is allowed (t_z = 0): where there is one, {100 * share:.0f} % of it is read as shear "
+        f"at a wave of six thicknesses (nu = {nu:g})",
+        'normal="unknown", with motion along Z where it can be had: in-plane motion alone tells little of pressure',
+    )  # fmt: skip
+
+
+def cut_off(level: float, share: float) -> Flag | None:
+    """W613: places at the edge of a window move, by `level` stds of the noise and a `share` of the largest motion."""
+    if level <= STILL:
+        return None
+    return above(
+        "W613", "motion at the edge of the window over the largest", share, CUT,
+        f"places at the edge of the window move by {level:.1f} times their noise, {100 * share:.0f} % of the largest "
+        "motion: loads near it or beyond are cut off, and the layer is taken to stand still there",
+        "a wider window, or frame=(x0, y0, x1, y1) where nothing acts beyond it",
     )  # fmt: skip
 
 

@@ -125,6 +125,16 @@ Index = NDArray[np.intp]
 _TRIANGLE = np.array([[2, -1, -1], [-1, 2, -1], [-1, -1, 2], [8, 8, 4], [4, 8, 8], [8, 4, 8]]) / 60
 
 
+def at_nodes(places: Array, cells: Index) -> Array:
+    """Unit normals (P, 3) at places (P, 3), means over the cells (F, 4 or 3) between them by their areas."""
+    p = places[cells]
+    a, b, c, d = (p[:, k % p.shape[1]] for k in range(4))  # of a triangle the last is the first again
+    normal = np.cross(c - a, d - b)
+    found = np.zeros((len(places), 3))
+    np.add.at(found, cells.ravel(), np.repeat(normal / 2, cells.shape[1], axis=0))
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
 def flat(name: str, faces: Index, coordinates: Array) -> Surface:
     """Surface of quadrilaterals or triangles between the nodes of `faces` (F, 4 or 3), with its mass."""
     nodes, local = np.unique(faces, return_inverse=True)
@@ -142,12 +152,16 @@ def flat(name: str, faces: Index, coordinates: Array) -> Surface:
                 u = (1 - b) * (p[:, 1] - p[:, 0]) + b * (p[:, 2] - p[:, 3])
                 v = (1 - a) * (p[:, 3] - p[:, 0]) + a * (p[:, 2] - p[:, 1])
                 mass += wa * wb * np.linalg.norm(np.cross(u, v), axis=1)[:, None, None] * np.outer(N, N)
-        normal = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
     M = assembled(mass, cells, len(nodes))
-    normals = np.zeros((len(nodes), 3))
-    np.add.at(normals, cells.ravel(), np.repeat(normal, faces.shape[1], axis=0))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return Surface(name, nodes, coordinates[nodes], cells, normals, np.asarray(M.sum(axis=1)).ravel(), M)
+    return Surface(
+        name,
+        nodes,
+        coordinates[nodes],
+        cells,
+        at_nodes(coordinates[nodes], cells),
+        np.asarray(M.sum(axis=1)).ravel(),
+        M,
+    )
 
 
 def spread(surface: Surface, faces: Index, size: int) -> sparse.csc_array:

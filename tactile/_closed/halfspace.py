@@ -110,6 +110,7 @@ def _over(a: Array, b: Array) -> Array:
 
 
 WARN, REFUSE = 0.1, 0.3  # contact radius over thickness
+CHANGED = 0.15, 0.3  # share of the motion of the markers that the base of a pad changes
 EDGE = 4.0  # thicknesses to the edge of the pad
 
 
@@ -128,22 +129,53 @@ def thin_pad(
     `what` is the formula, as the message names it.
     """
     ratio = positive("radius", radius, where=what, unit="m") / positive("thickness", thickness, where=what, unit="m")
-    if not ratio > WARN:
-        return None
     message = (
         f"the {what} is {too_soft(ratio, nu):.0f} % too soft here: "
         f"contact radius / thickness = {ratio:.3g}, nu = {nu:g}"
     )
+    return _beyond("contact radius / thickness", ratio, (WARN, REFUSE), message, allow)
+
+
+def base_seen(share: float, thickness: float, allow: Iterable[str] = ()) -> Flag | None:
+    """W601 and E602 where the base of a pad (m) changes the motion of its markers by this share of the half-space's.
+
+    It does so wherever the markers spread as far as half the pad is thick, however small the contact.
+    """
+    message = (
+        f"on a pad {1e3 * thickness:.3g} mm thick the markers move by {100 * share:.0f} % otherwise than in the "
+        "half-space, which makes more than that of the force"
+    )
+    return _beyond("change of the motion by the base", share, CHANGED, message, allow)
+
+
+def of_unknown_thickness(radius: float, deepest: float) -> Flag | None:
+    """W601 for a half-space of unknown thickness, where a contact is wider than the markers are deep (both m)."""
+    ratio = radius / positive("deepest", deepest, where="of_unknown_thickness", unit="m")
+    if not ratio > 1:
+        return None
+    return Flag(
+        "W601",
+        Evidence("contact radius / depth of the deepest markers", ratio, 1.0),
+        f"nothing says how thick the pad is: a half-space is meant for more than {1e3 * radius / WARN:.3g} mm, ten "
+        f"radii of this contact, and the deepest markers lie at {1e3 * deepest:.3g} mm",
+        "state it (extent=tactile.Extent(thickness)), or use a Layer as ground",
+    )
+
+
+def _beyond(name: str, value: float, limits: tuple[float, float], message: str, allow: Iterable[str]) -> Flag | None:
+    """W601 above the first limit, E602 above the second."""
+    warn, refuse = limits
+    if not value > warn:
+        return None
     advice = "use the bonded layer (tactile.Layer) or a finite-element pad, for validation too"
-    if ratio <= REFUSE:
-        return Flag("W601", Evidence("contact radius / thickness", ratio, WARN), message, advice)
+    if value <= refuse:
+        return Flag("W601", Evidence(name, value, warn), message, advice)
     if "LID-E602" not in {canonical(code) for code in ([allow] if isinstance(allow, str) else allow)}:
         raise NotIdentifiable(
-            f"{message}, above {REFUSE:g}", advice=f'{advice}; allow=("E602",) uses it all the same', code="LID-E602",
+            f"{message}, {name} above {refuse:g}", advice=f'{advice}; allow=("E602",) uses it all the same',
+            code="LID-E602",
         )  # fmt: skip
-    return Flag(
-        "E602", Evidence("contact radius / thickness", ratio, REFUSE), message + ", allowed by the user", advice
-    )
+    return Flag("E602", Evidence(name, value, refuse), message + ", allowed by the user", advice)
 
 
 def near_edge(distance: float, thickness: float) -> Flag | None:

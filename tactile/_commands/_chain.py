@@ -367,6 +367,10 @@ def data(found: Reconstruction) -> dict[str, Any]:
             "torque": torque.value, "torque_std": torque.std,
             "peak_pressure": contact.peak, "contact_radius": contact.radius, "contact_area": contact.area,
             "centre": contact.centre,
+            "contacts": [
+                {"force": c.force.value, "force_std": c.force.std, "centre": c.centre, "area": c.area}
+                for c in one.contacts()
+            ],
         },
         "flags": [flag.to_dict() for flag in sort(force.flags)],
         "notes": found.source.notes,

@@ -14,7 +14,7 @@ from structures._elements.members import Material
 from structures._elements.surfaces import Surface
 from structures._flags import Flag
 from structures._system.structure import Structure
-from structures.errors import InputError, as_array, integer, pair, positive, shown
+from structures.errors import InputError, as_array, integer, one_of, pair, positive, shown
 
 from .._arrays import MODULUS, PITCH, PLANE, SIDE, THICKNESS, Array, Index, Mask, shaped
 
@@ -217,6 +217,10 @@ def _nearest(corners: Array, points: Array) -> Array:
 
 
 CELLS = 2_000  # along a side
+RIMS = ("free", "bonded")
+STEEPEST = np.pi / 3  # tilt of a dome at its rim
+REACH_OVER = 0.95  # radii of curvature that a domed surface reaches
+THINNEST = 0.02  # of its height: the least height of a dome at its rim
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,14 +297,19 @@ def rectangle(pad: Pad, material: Material) -> Body:
     nx, ny = divisions(size, thickness, pad.pitch, pad.elements)
     nz = integer("layers", pad.layers, where="Pad, layers", limit=CELLS)
     dimensions = {"size": size, "thickness": thickness, "elements": (nx, ny), "pitch": None, "layers": nz}
-    if pad.outline is not None:
-        if not isinstance(pad.outline, PadOutline):
+    bonded = one_of("no rim of a pad", pad.rim, RIMS, where="Pad, rim") == "bonded"
+    if pad.outline is not None or pad.curvature is not None or bonded:
+        shape = PadOutline(cells=np.ones((ny, nx), bool)) if pad.outline is None else pad.outline
+        if not isinstance(shape, PadOutline):
             hint = "tactile.outline.rounded(radius), .polygon(corners) or .mask(cells)"
             raise InputError(
                 "no outline", where="Pad, outline", found=shown(pad.outline), expected="an outline", hint=hint
             )
-        places, quads = pad.outline.on(size, (nx, ny))
-        return extruded(places, quads, thickness, nz, material, pad.element, pad.allow, dimensions)
+        places, quads = shape.on(size, (nx, ny))
+        height = thickness if pad.curvature is None else domed(places, thickness, pad.curvature)
+        return extruded(
+            places, quads, 1.0, nz, material, pad.element, pad.allow, dimensions, height=height, bonded=bonded
+        )
     structure = solids.block(
         lengths=(*size, thickness),
         elements=(nx, ny, nz),
@@ -311,6 +320,40 @@ def rectangle(pad: Pad, material: Material) -> Body:
     )
     field: Any = structure.field
     return Body(structure, field.surface("top"), dimensions, field.flags)
+
+
+def cap(radius: Any, height: Any, plinth: Any) -> tuple[float, PadOutline]:
+    """Radius of curvature of a spherical cap over a disc, `height` at its apex and `plinth` at its rim; its outline."""
+    r, top, foot = (
+        positive(name, x, where="Pad.dome", unit="m")
+        for name, x in (("the radius", radius), ("the height", height), ("the plinth", plinth))
+    )
+    rise = top - foot
+    if not 0 < rise <= np.tan(STEEPEST / 2) * r:
+        raise InputError(
+            "no spherical cap that columns of bricks carry", where="Pad.dome",
+            found=f"a rise of {rise:g} m over a disc of radius {r:g} m",
+            expected=f"a plinth lower than the height, and a rim no steeper than {np.degrees(STEEPEST):.0f} degrees",
+            hint="Pad.from_mesh takes any body",
+        )  # fmt: skip
+    turn = np.linspace(0, 2 * np.pi, 4 * ARC, endpoint=False)
+    return (r**2 + rise**2) / (2 * rise), polygon(r * np.column_stack([np.cos(turn), np.sin(turn)]))
+
+
+def domed(places: Array, apex: float, curvature: Any) -> Array:
+    """Height (n,) over places (n, 2) of a spherical surface of this radius of curvature, `apex` at the origin (m)."""
+    R = positive("the curvature", curvature, where="Pad, curvature", unit="m")
+    away = np.sum(places**2, axis=1)
+    height = apex - R + np.sqrt(np.maximum(R**2 - away, 0.0))
+    low = float(height.min())
+    if away.max() > (REACH_OVER * R) ** 2 or low < THINNEST * apex:
+        raise InputError(
+            "the dome comes down to its base, or is too steep", where="Pad, curvature",
+            found=f"{low:.3g} m high at its rim, {np.sqrt(away.max()) / R:.2f} radii of curvature from its middle",
+            expected=f"at least {THINNEST:g} of its height of {apex:g} m, and {REACH_OVER:g} radii",
+            hint="a larger radius of curvature (m), a smaller outline, or a higher plinth",
+        )  # fmt: skip
+    return height
 
 
 def extruded(
@@ -324,12 +367,19 @@ def extruded(
     dimensions: dict[str, Any],
     *,
     height: Array | float = 1.0,
+    bonded: bool = False,
 ) -> Body:
     """Layers of hexahedra over quadrilaterals (Q, 4) between nodes (V, 2), base bonded.
 
-    The surface lies at ``thickness * height``, one height for all nodes or for each.
+    The surface lies at ``thickness * height``, one height for all nodes or for each. With the rim `bonded` too, the
+    sides are held up to one layer under the surface, all of whose nodes may be loaded.
     """
     count = len(places)
+    held = np.arange(count)
+    if bonded:
+        pairs, times = edges(quads)
+        rim = np.unique(pairs[times == 1])
+        held = np.concatenate([held, *(rim + k * count for k in range(1, layers))])
     z = np.multiply.outer(np.linspace(0.0, thickness, layers + 1), np.broadcast_to(height, count)).ravel()
     nodes = np.column_stack([np.tile(places, (layers + 1, 1)), z])
     cells = np.concatenate([np.hstack([quads + k * count, quads + (k + 1) * count]) for k in range(layers)])
@@ -338,10 +388,11 @@ def extruded(
         cells,
         material=material,
         element=element,
-        fixed=np.arange(count),
+        fixed=held,
         allow=locking_allowed(allow),
         where="Pad",
     )
     field: Any = structure.field
     levels = np.repeat(np.arange(layers + 1), count)
-    return Body(structure, field.surface("top"), dimensions, field.flags, levels=levels)
+    top = np.flatnonzero(np.all(field.boundary >= layers * count, axis=1))  # however steep
+    return Body(structure, field.surface("top", top), dimensions, field.flags, levels=levels)

@@ -31,7 +31,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._closed.layer import Layer
 from . import meshfiles
-from .body import Body, edges, extruded, locking_allowed, of_a_pad, polygon, rectangle
+from .body import Body, cap, edges, extruded, locking_allowed, of_a_pad, polygon, rectangle
 from .meshfiles import MeshFile
 from .padfile import SensorFile, read
 from .stiffness import Loaded
@@ -313,6 +313,12 @@ class Pad(Loaded):
         map of tractions is wrong by half (W115).
     outline : optional
         What is left of the rectangle, `tactile._pad.body`.
+    curvature : float, optional
+        Radius of curvature of a domed surface (m), whose apex lies over the centre at the thickness; `Pad.dome` finds
+        it from height and plinth.
+    rim : {"free", "bonded"}
+        Whether the sides are free, or held by a ring or box that the gel is cast in: up to one layer under the surface,
+        all of whose nodes may be loaded.
     density : float
         kg/m^3; static maps do not ask for it.
     material : str
@@ -343,7 +349,7 @@ class Pad(Loaded):
     Notes
     -----
     Vectors at points are flattened with the point first, 3 * point + component. Forces are consistent nodal forces (N);
-    `surface.tractions` turns them into Pa. What the base carries is `reactions` and never part of a load.
+    `surface.tractions` turns them into Pa. What base and rim carry is `reactions` and never part of a load.
     """
 
     E: float
@@ -355,6 +361,8 @@ class Pad(Loaded):
     layers: int = 4
     element: str = "bbar"
     outline: Any = None
+    curvature: float | None = None
+    rim: str = "free"
     density: float = 1000.0
     material: str = "elastomer"
     allow: Sequence[str] = ()
@@ -389,6 +397,37 @@ class Pad(Loaded):
             return body
         layers = integer("layers", self.layers, where="Pad, layers", limit=100)
         return rebuilt(self.mesh, self.pitch, layers, material, self.element, self.allow)
+
+    @classmethod
+    def dome(
+        cls, radius: float, height: float, *, plinth: float, E: float, nu: float, pitch: float | None = None,
+        **settings: Any,
+    ) -> Pad:  # fmt: skip
+        """A spherical cap on a plinth, bonded to a flat window by its disc.
+
+        Parameters
+        ----------
+        radius : float
+            Of the bonded disc (m).
+        height : float
+            Of the apex over the window (m).
+        plinth : float
+            Height at the rim (m): the cylinder under the cap, less than `height`.
+        E, nu, pitch, **settings
+            As of `Pad`; ``layers`` go from base to surface everywhere, thinner towards the rim.
+
+        Raises
+        ------
+        InputError
+            As `Pad`; a cap steeper than 60 degrees at its rim, or that comes down to the base.
+
+        Notes
+        -----
+        Loads are tractions along X, Y and Z at the nodes of the curved surface; its normals are ``surface.normals``.
+        """
+        curvature, outline = cap(radius, height, plinth)
+        return cls(size=(2 * radius, 2 * radius), thickness=height, curvature=curvature, outline=outline, E=E, nu=nu,
+                   pitch=pitch, **settings)  # fmt: skip
 
     @classmethod
     def from_mesh(

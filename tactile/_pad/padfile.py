@@ -42,6 +42,9 @@ nu = 0.3223
 pitch = "1 mm"                  # of the nodes of the map; a quarter of the thickness if left out
 layers = 4                      # of elements through the thickness
 # rounded = "3 mm"              # radius of the corners; or polygon = [["-12 mm", "-12 mm"], ...]
+# rim = "bonded"                # the sides are held by a ring or box; free if left out
+# curvature = "40 mm"           # radius of curvature of a domed surface, the thickness at its apex;
+# shape = "dome"                # or a cap on a round plinth: radius, height and plinth for size and thickness
 
 [camera]                        # a lens under the pad ...
 focal = 640                     # px
@@ -78,6 +81,7 @@ no_pull = false
 TABLES = ("pad", "camera", "markers", "depth", "contact")
 METHODS = ("parabola", "centroid")
 PENALTIES = ("identity", "gradient", "laplacian")
+SHAPES, RIMS = ("block", "dome"), outline.RIMS
 ELEMENTS = ("bbar", "standard", "incompatible")
 
 
@@ -162,10 +166,17 @@ def _body(t: TomlTable) -> dict[str, Any]:
     t.bare_numbers(t.word("length_unit", ("m", "cm", "mm", "um"), None), t.word("E_unit", ("Pa", "kPa", "MPa"), None))
     found: dict[str, Any] = {"E": t.positive("E", "pressure"), "nu": t.number("nu")}
     mesh = t.text("mesh", None)
-    if mesh is None:
+    shape = t.word("shape", SHAPES, None)
+    if shape == "dome":
+        lengths = [t.positive(name, "displacement") for name in ("radius", "height", "plinth")]
+        with t.named():
+            found["curvature"], found["outline"] = outline.cap(*lengths)
+        found |= {"size": (2 * lengths[0], 2 * lengths[0]), "thickness": lengths[1], "rim": t.word("rim", RIMS, None)}
+    elif mesh is None:
         found |= {"size": t.quantities("size", "displacement", 2), "thickness": t.positive("thickness", "displacement")}
         found["elements"] = t.counts("elements", 2, None)
         found["outline"] = _outline(t)
+        found |= {"curvature": t.positive("curvature", "displacement", None), "rim": t.word("rim", RIMS, None)}
     else:
         found |= {"mesh": t.beside(mesh), "unit": t.text("mesh_unit", None)}
         found |= {name: t.text(name, None) for name in ("axis", "base", "top")}

@@ -124,7 +124,7 @@ def draw_maps(axes: list[Axes], one: ForceMap, truth: Array | None, kinds: list[
         else:
             values = t if kind == "estimate" else truth
             assert values is not None
-            image = surface(ax, one, -values[:, 2] * KPA, **colours(low, top))
+            image = surface(ax, one, one.pressure_of(values) * KPA, **colours(low, top))
             arrows = draw_shear(ax, one, values, shear, top)
             if arrows is not None:
                 arrow_key(ax, arrows, shear, 0.66)

@@ -15,6 +15,7 @@ from loadid._results import report as parts
 from loadid._results.summary import plus_minus
 
 if TYPE_CHECKING:
+    from .contacts import Contact
     from .forcemap import ForceMap
 
 
@@ -41,7 +42,15 @@ def numbers(one: ForceMap) -> list[tuple[str, str, str]]:
     slip = float(np.nanmedian(contact.slip))
     rows.append(("contact radius", f"{size:.3g} mm", "of the Hertz pressure with the same second moment"))
     rows.append(("contact", f"{area:.3g} mm²", f"about ({x:.3g}, {y:.3g}) mm; shear over pressure {slip:.2g}"))
-    return rows
+    several = one.contacts()
+    return rows if len(several) < 2 else [*rows, *map(_of_several, range(1, len(several) + 1), several)]
+
+
+def _of_several(number: int, contact: Contact) -> tuple[str, str, str]:
+    """One of several contacts: its force, and where it is."""
+    x, y = 1e3 * contact.centre
+    remark = f"{1e6 * contact.area:.3g} mm² about ({x:.3g}, {y:.3g}) mm"
+    return _vector(f"contact {number}", contact.force.value, contact.force.std, "N", remark)
 
 
 def provided(force: ForceMap) -> str:

@@ -9,12 +9,14 @@ is the half-space on a thin pad, so the kernels of a bonded layer stand beside t
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
+from functools import cached_property, partial
 from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loadid._guards import collect
 from structures._flags import Flag
 from structures.errors import InputError, reals
 
@@ -24,12 +26,14 @@ from .._closed import halfspace as closed
 from .._closed.halfspace import point_forces
 from .._closed.layer import HalfSpace, Layer
 from .._closed.presses import matrices, unit_point
+from .._results.forcemap import ForceMap
 from .inversion import Inverse, prepare
 from .linear import LinearSensor, PressedBody
 from .marked import Extent, InversionSettings, observed, spelled_before
-from .observation import Markers
+from .observation import DepthMap, Markers, Wrench
 from .posing import of_points
 
+LOADED = 6.0  # stds of the noise that a marker must move, if a half-space is to be held against the pad
 TOUCHED = 0.2  # of the largest force, from which a point counts as touched
 
 
@@ -47,14 +51,20 @@ class GelForce(LinearSensor):
         are negative; z = h is the surface of a layer. Two layers of markers under one camera give in-plane motion, axes
         "XY"; with known optics all three components.
     extent : Extent, optional
-        Of the pad, for the guards of a ground that knows no base (W601, E602) or no edge (W601).
+        Of the pad, for the guards of a ground that knows no base (W601, E602) or no edge (W601). Every map of a
+        half-space is held against the thickness: by the radius of its contact, and by what the base of a pad so thick
+        would change of the motion of the markers. Without a thickness, a contact wider than the markers are deep is
+        flagged.
     penalty, choice, noise_source, contact, allow
         See `tactile._sensors.marked.InversionSettings`. ``choice=0`` is the publication's pseudo-inverse, by SVD.
 
     Raises
     ------
     InputError
-        Markers on the surface (point forces have no bound there), fewer than three, or settings that do not fit.
+        Markers on the surface (point forces have no bound there), deeper than the pad is thick, or fewer than three;
+        settings that do not fit.
+    NotIdentifiable
+        A half-space for a contact that the thickness makes a thin layer (LID-E602), here or in `estimate`.
     """
 
     name = "GelForce"
@@ -69,7 +79,7 @@ class GelForce(LinearSensor):
         extent: Extent | None = None,
         **settings: Unpack[InversionSettings],
     ) -> None:
-        self.ground, extent = ground, extent or Extent()
+        self.ground, self.extent = ground, extent or Extent()
         places = shaped(forces, PLANE, where="GelForce, forces", what="no places of forces", fewest=2)
         markers = observed(markers, None)
         if markers.points.shape[1] != 3 or np.any(markers.points[:, 2] >= ground.top):
@@ -77,17 +87,24 @@ class GelForce(LinearSensor):
                 "markers must lie under the surface", where="GelForce, markers", found="markers on or above it",
                 expected="(N, 3) with z below the surface", hint="a point force moves its own point without bound",
             )  # fmt: skip
+        deepest = ground.top - float(markers.points[:, 2].min())
+        if extent is not None and extent.thickness is not None and deepest > extent.thickness:
+            raise InputError(
+                "markers lie deeper than the pad is thick", where="GelForce, markers", found=f"{deepest:.4g} m",
+                expected=f"up to {extent.thickness:g} m", hint="depths are counted from the surface, in m",
+            )  # fmt: skip
+        self._deepest = deepest
         area = _cell(places)
-        self._size, self._h = extent.size, ground.h if isinstance(ground, Layer) else extent.thickness
+        self._size, self._h = self.extent.size, ground.h if isinstance(ground, Layer) else self.extent.thickness
         if self._size is not None and self._h is None:
             raise InputError(
                 "how near an edge is depends on the thickness of the pad", where="GelForce, extent",
                 found="no thickness", expected="thickness= in m beside size=",
             )  # fmt: skip
         thin = None
-        if isinstance(ground, HalfSpace) and extent.thickness is not None and extent.contact_radius is not None:
+        if isinstance(ground, HalfSpace) and self._h is not None and self.extent.contact_radius is not None:
             allow = settings.get("allow", ())
-            thin = closed.thin_pad(extent.contact_radius, extent.thickness, ground.nu, allow=allow)
+            thin = closed.thin_pad(self.extent.contact_radius, self._h, ground.nu, allow=allow)
         surface = np.column_stack([places, np.full(len(places), ground.top)])
 
         body = PressedBody(
@@ -96,6 +113,44 @@ class GelForce(LinearSensor):
             about={"ground": repr(ground), "forces": len(places), "markers": len(markers)},
         )  # fmt: skip
         super().__init__(body, markers, **settings)
+
+    def estimate(self, found: ArrayLike, depth: DepthMap | None = None, *, wrench: Wrench | None = None) -> ForceMap:
+        """Forces of one frame, as `LinearSensor.estimate`; a map of a half-space is held against the thickness.
+
+        Raises
+        ------
+        InputError
+            As there.
+        NotIdentifiable
+            What the readings do not determine, or a contact that a half-space does not describe (LID-E602).
+        """
+        answer = super().estimate(found, depth, wrench=wrench)
+        flag = self._thin(answer)
+        return answer if flag is None else replace(answer, flags=collect([*answer.flags, flag]))
+
+    def _thin(self, answer: ForceMap) -> Flag | None:
+        """W601 or E602 of a contact found by a half-space."""
+        if isinstance(self.ground, Layer):
+            return None
+        spread = np.array([c.noise for c in self.model.sensors])
+        told = self.model.H @ answer.load[self.kept] / spread
+        if not np.abs(told).max() > LOADED:
+            return None
+        contact = answer.contact(TOUCHED)
+        if self._h is None:
+            return closed.of_unknown_thickness(contact.radius, self._deepest)
+        share = float(np.linalg.norm(self._on_pad @ answer.load / spread - told) / np.linalg.norm(told))
+        if contact.radius / self._h > share:
+            return closed.thin_pad(contact.radius, self._h, self.ground.nu, allow=self.family.allow)
+        return closed.base_seen(share, self._h, self.family.allow)
+
+    @cached_property
+    def _on_pad(self) -> Array:
+        """Readings per force if the pad had its base."""
+        assert self._h is not None
+        points = self.markers.points + np.array([0.0, 0.0, self._h])
+        layer = Layer(self._h, self.ground.E, self.ground.nu)
+        return _rows(layer, self.geometry["coordinates"][:, :2], points, self.markers.rows)
 
     def expected_error(self, forces: ArrayLike) -> float:
         """Relative error that the noise makes of these forces (n, 3) or (3 n,) without regularisation.

@@ -22,6 +22,7 @@ from .._guards import interpolation_noise
 NEAREST = 12
 TERMS = (6, 3, 1)  # of a quadratic, an affine function, a mean
 WIDTH = 0.5  # of the Gaussian weight, over the distance of the farthest of the nearest
+CARRIED = 1e-6  # of the same distance: a marker so near to a node lies on it
 FLAT = 1e-4  # smallest over largest pivot, below which the markers do not determine the terms
 
 
@@ -29,7 +30,8 @@ def fitted_weights(markers: Array, nodes: Array) -> tuple[Index, NDArray[Any]]:
     """The nearest markers (n, k) of each node, and their weights (n, k) in the fitted value there; rows sum to 1.
 
     A quadratic is fitted to the nearest twelve markers, those nearby weighted more (moving least squares, Lancaster and
-    Salkauskas 1981); an affine function where there are fewer, or where they stand on two lines; their mean on one.
+    Salkauskas 1981); an affine function where there are fewer, or where they stand on two lines; their mean on one. A
+    node that carries a marker has its value: nothing is smoothed there.
     """
     from scipy.spatial import cKDTree
 
@@ -49,6 +51,7 @@ def fitted_weights(markers: Array, nodes: Array) -> tuple[Index, NDArray[Any]]:
         solved, found = _constant(terms[left, :, :count])
         weights[left[solved]] = near[left[solved]] * found
         left = left[~solved]
+    weights[distance[:, 0] <= CARRIED * reach[:, 0]] = np.eye(k)[0]
     return index, weights
 
 
@@ -79,7 +82,8 @@ class Interpolation:
     nodes : array, shape (n, 2)
     kind : {"linear", "local"}
         Linear on the Delaunay triangles of the markers (exact for affine fields; the noise of a node is that of three
-        markers), or a local least-squares quadratic through the twelve nearest (exact for quadratic fields).
+        markers), or a local least-squares quadratic through the twelve nearest (exact for quadratic fields; it smooths,
+        but on a node that carries a marker).
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ from structures import (
     loads,
     sensors,
 )
-from tactile import ContactLaw, GelForce, GelSlim, HalfSpace, Markers, MultilayerPad, Pad, Press
+from tactile import ContactLaw, GelForce, GelSlim, HalfSpace, Layer, LayerSensor, Markers, MultilayerPad, Pad, Press
 from tests.data import measured
 
 from .answers import Answer, answer, kept
@@ -682,6 +682,22 @@ def gel(**settings: Any) -> Answer:
     return mapped(s.estimate(u))
 
 
+def layered(full: bool = True, axes: str = "XY", **settings: Any) -> Answer:
+    """Tractions on a layer by its waves, from a full grid of places or from scattered markers."""
+    gel, rng, line = Layer(3e-3, 147e3, 0.3223), np.random.default_rng(11), np.linspace(-6e-3, 6e-3, 9)
+    at = np.array([(x, y) for y in line for x in line]) if full else rng.uniform(-6e-3, 6e-3, (60, 2))
+    u = PRESS.displacement(gel, at)[:, : len(axes)]
+    s = LayerSensor(gel, Markers(at, 5e-6, axes), **SAID, **settings)
+    return mapped(s.estimate(u + 5e-6 * rng.standard_normal(u.shape)))
+
+
+add("tactile/layer/default", layered)
+add("tactile/layer, normal load/given", lambda: layered(axes="XYZ", choice=LAM))
+add(
+    "tactile/layer, scattered markers/given",
+    lambda: layered(False, "XYZ", choice=LAM),
+    Loose(1e-5, "conjugate gradients end at 1e-8 of their first residual, those of bands at 1e-4"),
+)
 add("tactile/pad/given", lambda: pressed(choice=LAM))
 add("tactile/pad/default", pressed)
 add("tactile/pad in the plane, laplacian/given", lambda: pressed("XY", penalty="laplacian", choice=LAM))

@@ -7,7 +7,7 @@ from datetime import datetime
 import numpy as np
 
 from structures import Flag
-from tactile import ForceMap, GelSlim, Hertz, Markers, Pad, Sphere, View, metrics
+from tactile import ForceMap, GelSlim, Hertz, Layer, LayerSensor, Markers, Pad, Press, Sphere, View, metrics
 from tactile import _guards as guards
 
 from ..tactile import rigs
@@ -59,6 +59,14 @@ def slim(spread: bool, indenter: bool = False) -> tuple[Flag, ...]:
     return s.estimate(u, indenter=Sphere(radius=8e-3, depth=0.2e-3) if indenter else None).flags
 
 
+def layered(nu: float = 0.3223, at: float = 0.0) -> tuple[Flag, ...]:
+    """Flags of the in-plane motion of an endless layer in a window, under a shear in its middle or beside it."""
+    gel, line = Layer(2e-3, 147e3, nu), np.linspace(-12e-3, 12e-3, 41)
+    points = np.array([(x, y) for y in line for x in line])
+    u = Press(at=(at, 0.0), radius=2e-3, force=0.0, shear=(0.2, 0.0)).displacement(gel, points)
+    return LayerSensor(gel, Markers(points, 2e-6)).estimate(u[:, :2]).flags
+
+
 def hertz(thickness: float) -> tuple[Flag, ...]:
     """Flags of a Hertz contact on a pad, or its refusal."""
     found: list[Flag] = []
@@ -103,6 +111,8 @@ CASES = [
     Case("N610", lambda: metrics.compare_resultants(*FORCES, loads=0).flags,
          lambda: metrics.compare_resultants(*FORCES).flags, "no map"),
     Case("W611", lambda: slid(18e-6), lambda: slid(0.0), "moved together by .1[78].*fasten"),
+    Case("W612", lambda: layered(0.47), layered, r"28 % of it is read as shear"),
+    Case("W613", lambda: layered(at=10e-3), layered, "places at the edge of the window move by"),
     Case("W705", lambda: one(guards.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(guards.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(guards.other_calibration(OLD, NEW)), lambda: one(guards.other_calibration(NEW, OLD)),

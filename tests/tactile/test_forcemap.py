@@ -9,7 +9,8 @@ import pytest
 
 from loadid import LoadEstimate
 from structures.errors import InputError
-from tactile import ForceMap, GelSlim, Markers
+from tactile import ForceMap, GelSlim, Markers, Press
+from tactile._results.forcemap import record
 
 from .rigs import NO_PULL, NOISE, PRESS, markers, motion, nodal, pad, sensor
 
@@ -67,6 +68,71 @@ def test_contact_is_that_of_the_press(found: ForceMap) -> None:
 def test_noise_alone_is_no_contact() -> None:
     quiet = sensor().estimate(NOISE * np.random.default_rng(5).standard_normal((195, 3))).contact()
     assert quiet.mask.sum() <= 0.05 * quiet.mask.size
+
+
+TWO = (
+    Press(at=(-4e-3, 0.5e-3), radius=1.6e-3, force=0.6, shear=(0.1, 0.0)),
+    Press(at=(3.5e-3, -0.5e-3), radius=1.8e-3, force=0.3, shear=(0.0, -0.05)),
+)
+
+
+def two_fingers(seed: int) -> np.ndarray:
+    """Motion of the markers under two presses, on the pad's own mesh, with noise."""
+    here = pad()
+    nodal = sum(here.surface.forces(press.traction(here.nodes2d)) for press in TWO)
+    u = np.asarray(here.from_surface(markers()) @ here.displacements(nodal).ravel()).reshape(-1, 3)
+    return u + NOISE * np.random.default_rng(seed).standard_normal(u.shape)
+
+
+@pytest.mark.parametrize("choice", [0.01, "upre"])
+def test_two_fingers_are_two_contacts_that_add_up(choice: float | str) -> None:
+    s = sensor(choice)
+    drawn = [s.estimate(two_fingers(seed)) for seed in range(10)]
+    for one in drawn:
+        found = one.contacts()
+        assert len(found) == 2
+        for contact, press in zip(found, TWO, strict=True):
+            assert np.allclose(contact.centre, press.at, atol=3e-4)
+            assert contact.area == pytest.approx(np.pi * press.radius**2, rel=0.5)
+            force = here_force(press)
+            assert np.all(np.abs(contact.force.value - force) < 4.5 * contact.force.std)
+            assert np.all(contact.force.std < 0.05)
+        assert np.allclose(sum(c.force.value for c in found), one.resultant().value, atol=1e-12)
+        assert not np.any(found[0].mask & found[1].mask)
+    scatter = np.std([[c.force.value for c in one.contacts()] for one in drawn], axis=0)
+    stated = np.array([c.force.std for c in drawn[0].contacts()])
+    assert np.all(scatter < 1.6 * stated)
+
+
+def here_force(press: Press) -> np.ndarray:
+    """Force (3,) of a press as the pad's own mesh has it."""
+    return pad().surface.forces(press.traction(pad().nodes2d)).sum(axis=0)
+
+
+def test_a_single_press_is_one_contact_with_the_resultant(found: ForceMap) -> None:
+    (only,) = found.contacts()
+    assert np.array_equal(only.force.value, found.resultant().value)
+    assert np.array_equal(only.force.std, found.resultant().std)
+    assert np.allclose(only.centre, found.contact().centre, atol=2e-4)
+
+
+@pytest.mark.parametrize("kind", ["multilayer", "slim", "frozen"])
+def test_noise_alone_has_no_contacts(kind: str) -> None:
+    s = (
+        GelSlim(pad(), Markers(markers(), NOISE, "XYZ"))
+        if kind == "slim"
+        else sensor(0.01 if kind == "frozen" else "upre")
+    )
+    rng = np.random.default_rng(7)
+    assert not any(s.estimate(NOISE * rng.standard_normal((195, 3))).contacts() for _ in range(20))
+
+
+def test_several_contacts_stand_in_the_numbers(tmp_path: Path) -> None:
+    one = sensor().estimate(two_fingers(0))
+    one.report(tmp_path / "two.html")
+    assert "contact 2" in (tmp_path / "two.html").read_text("utf-8")
+    with pytest.raises(InputError, match="one frame"):
+        record([one, one]).contacts()
 
 
 def test_files_give_the_same_map_back(found: ForceMap, tmp_path: Path) -> None:

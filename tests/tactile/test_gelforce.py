@@ -96,9 +96,63 @@ def test_a_thin_pad_is_flagged_then_refused() -> None:
     assert "E602" in rig((0.5, 1), extent=Extent(3e-3, 1e-3), count=5, allow=("E602",)).codes
 
 
+def pressed(thickness: float, radius: float, axes: str = "XYZ", **settings: object) -> tuple[GelForce, np.ndarray]:
+    """A half-space for a pad of this thickness, and the motion of its markers under 1 N; the truth is the layer's."""
+    layer, at = Layer(thickness, 0.147e6, 0.3223), places(13, 1.25e-3)
+    under = np.vstack([np.column_stack([at, np.full(len(at), -d)]) for d in (0.75e-3, 1.5e-3)])
+    u = Press(radius=radius, force=1.0).displacement(layer, under + np.array([0.0, 0.0, thickness]))
+    y = u + 2e-6 * np.random.default_rng(0).standard_normal(u.shape)
+    s = GelForce(layer.half_space, at, Markers(under, 2e-6, axes), **settings)  # type: ignore[arg-type]
+    return s, y[:, : len(axes)]
+
+
+@pytest.mark.parametrize(("axes", "radius"), [("XYZ", 0.6e-3), ("XYZ", 2.5e-3), ("XY", 2.5e-3)])
+def test_a_map_of_a_thin_pad_is_refused_by_its_thickness_alone(radius: float, axes: str) -> None:
+    s, y = pressed(3e-3, radius, axes, extent=Extent(3e-3))
+    with pytest.raises(NotIdentifiable, match=r"half-space.*above 0\.3"):
+        s.estimate(y)
+    allowed, _ = pressed(3e-3, radius, axes, extent=Extent(3e-3), allow=("E602",))
+    found = allowed.estimate(y)
+    assert "E602" in found.codes
+    if axes == "XYZ":
+        assert found.resultant().value[2] == pytest.approx(-0.06, abs=0.02)  # of -1 N
+
+
+def test_a_thick_pad_is_flagged_where_its_base_is_seen_and_then_not() -> None:
+    s, y = pressed(30e-3, 2.5e-3, extent=Extent(30e-3))
+    found = s.estimate(y)
+    print([str(f) for f in found.flags if f.code.endswith("W601")])
+    assert "W601" in found.codes
+    assert found.resultant().value[2] == pytest.approx(-0.72, abs=0.02)  # of -1 N: the markers spread over 15 mm
+    far, y = pressed(100e-3, 2.5e-3, extent=Extent(100e-3))
+    assert not {"W601", "E602"} & far.estimate(y).codes
+    still = 2e-6 * np.random.default_rng(1).standard_normal(y.shape)
+    assert not {"W601", "E602"} & pressed(3e-3, 1e-3, extent=Extent(3e-3))[0].estimate(still).codes
+
+
+def test_motion_in_the_plane_about_a_small_contact_is_that_of_a_half_space_and_the_force_is_not() -> None:
+    s, y = pressed(3e-3, 0.6e-3, "XY", extent=Extent(3e-3))
+    found = s.estimate(y)
+    assert abs(found.resultant().value[2] + 1) > 0.5
+    assert "W601" in found.codes
+
+
+def test_a_wide_contact_asks_for_the_thickness() -> None:
+    s, y = pressed(3e-3, 2.5e-3)
+    assert "W601" in s.estimate(y).codes
+    s, y = pressed(100e-3, 0.6e-3)
+    assert "W601" not in s.estimate(y).codes
+
+
+def test_markers_under_the_base_are_refused() -> None:
+    with pytest.raises(InputError, match="deeper than the pad"):
+        pressed(3e-3, 1e-3, extent=Extent(1.2e-3))
+
+
 def test_a_contact_near_an_edge_is_flagged() -> None:
-    s = rig((0.5, 1), extent=Extent(3e-3, size=(20e-3, 20e-3)), count=7)
-    wide = rig((0.5, 1), extent=Extent(3e-3, size=(60e-3, 60e-3)), count=7)
+    layer = Layer(3e-3, 0.147e6, 0.49)
+    s = rig((0.5, 1), layer, extent=Extent(size=(20e-3, 20e-3)), count=7)
+    wide = rig((0.5, 1), layer, extent=Extent(size=(60e-3, 60e-3)), count=7)
     u = (s.model.H @ truth(7).ravel()).reshape(-1, 3)
     assert "W601" in s.estimate(u).codes
     assert "W601" not in wide.estimate(u).codes

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile import ContactLaw, Cylinder, GelSlim, Interpolation, Markers, Sphere, Wrench
+from tactile import ContactLaw, Cylinder, GelSlim, Interpolation, Markers, Pad, Press, Sphere, Wrench
 from tactile._pad.stiffness import Completion
 
+from .padtruth import consistent
 from .rigs import NOISE, depth, markers, motion, pad
 
 
@@ -132,6 +133,28 @@ def test_the_resultant_has_the_std_of_its_scatter() -> None:
     s, rng = GelSlim(here, Markers(m, NOISE, "XYZ")), np.random.default_rng(0)
     drawn = [s.estimate(NOISE * rng.standard_normal((len(m), 3))).resultant() for _ in range(200)]
     assert np.std([r.value for r in drawn], axis=0) == pytest.approx(drawn[0].std, rel=0.2)
+
+
+@pytest.mark.parametrize(("nu", "error"), [(0.3223, 0.051), (0.475, 0.057), (0.49, 0.059)])
+def test_markers_on_the_nodes_are_not_smoothed(nu: float, error: float) -> None:
+    """The map of exact motion under a Hertz press is that of the pad's own stiffness."""
+    here = Pad(size=(24e-3, 24e-3), thickness=3e-3, E=147e3, nu=nu, elements=(24, 24), layers=4)
+    press = Press(radius=3e-3, force=1.0)
+    s = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"))
+    F, f = s.estimate(press.displacement(here.layer, here.nodes2d)).forces(), consistent(here, press)
+    inner = np.all(np.abs(here.nodes2d) < 10e-3 * (1 + 1e-6), axis=1)
+    assert relative(F[inner], f[inner]) == pytest.approx(error, abs=2e-3)
+
+
+def test_the_band_of_markers_on_the_nodes_is_that_of_draws() -> None:
+    here, rng = pad(1, "standard"), np.random.default_rng(0)
+    s = GelSlim(here, Markers(here.nodes2d, NOISE, "XYZ"))
+    u = np.zeros((here.points, 3))
+    draws = [s.estimate(NOISE * rng.standard_normal(u.shape)) for _ in range(300)]
+    found = s.estimate(u)
+    assert np.std([d.load for d in draws], axis=0) == pytest.approx(found.std, rel=0.2)
+    assert np.std([d.resultant().value for d in draws], axis=0) == pytest.approx(found.resultant().std, rel=0.1)
+    assert "W605" not in found.codes  # every node has a marker of its own
 
 
 def test_measured_depth_counts_with_its_noise() -> None:

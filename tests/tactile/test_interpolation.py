@@ -47,6 +47,14 @@ def test_affine_fields_are_carried_exactly_and_quadratic_ones_by_the_local_fit(k
     np.testing.assert_allclose(onto.W.sum(axis=1), onto.inside.astype(float), atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["linear", "local"])
+def test_a_node_that_carries_a_marker_has_its_value(kind: str) -> None:
+    markers, values = scattered(), np.random.default_rng(1).standard_normal((120, 2))
+    onto = Interpolation(markers, np.vstack([markers[::3], NODES]), kind)
+    np.testing.assert_allclose(onto(values)[:40], values[::3], atol=1e-9)
+    np.testing.assert_allclose(onto.covariance(2.0).toarray()[:40, :40], 4 * np.eye(40), atol=1e-9)
+
+
 def test_linear_is_that_of_scipy() -> None:
     markers, values = scattered(), np.random.default_rng(1).standard_normal((120, 2))
     expected = LinearNDInterpolator(markers, values)(NODES)

@@ -79,6 +79,7 @@ from tactile import (
     Interpolation,
     Layer,
     LayerGrid,
+    LayerSensor,
     Markers,
     MarkerTracker,
     MultilayerPad,
@@ -397,6 +398,13 @@ def gel() -> GelForce:
     return GelForce(HalfSpace(E=0.147e6, nu=0.49), at, Markers(under, 5e-6, "XYZ"), **p.SAID, choice="discrepancy")
 
 
+def layered(scattered: bool = False) -> LayerSensor:
+    """A layer by its waves."""
+    at, _ = p.moved()
+    at = at + 1e-4 * np.random.default_rng(3).standard_normal(at.shape) if scattered else at
+    return LayerSensor(Layer(h=3e-3, E=0.147e6, nu=0.3223), Markers(at, 2e-6, "XYZ"), **p.SAID)
+
+
 @cache
 def gel_motion() -> np.ndarray:
     """Motion of its markers."""
@@ -598,6 +606,8 @@ add("tactile/GelSlim", slim, partial(frame, u=p.moved(1, "standard")[1]))
 add("tactile/GelSlim, friction", partial(slim, contact=ContactLaw(friction=0.6)),
     partial(frame, u=p.moved(1, "standard")[1]))  # fmt: skip
 add("tactile/GelForce", gel, partial(frame, u=gel_motion()))
+add("tactile/LayerSensor", layered, partial(frame, u=p.moved()[1]))
+add("tactile/LayerSensor, scattered", partial(layered, True), partial(frame, u=p.moved()[1]))
 add("tactile/map", lambda: padded().estimate(p.moved()[1]), mapped_says)
 add("tactile/map of a frozen pad", lambda: padded(choice=p.LAM).estimate(p.moved()[1]), mapped_says)
 add("tactile/eye", lambda: seen.eye(), watched)
@@ -663,4 +673,6 @@ SHARED: dict[str, Shared] = {
     "MultilayerPad, frozen": Shared(partial(padded, choice=p.LAM), p.moved()[1], said=mapped_numbers),
     "GelSlim": Shared(slim, p.moved(1, "standard")[1], said=mapped_numbers),
     "GelForce": Shared(gel, gel_motion(), said=mapped_numbers),
+    "LayerSensor": Shared(layered, p.moved()[1], said=mapped_numbers),
+    "LayerSensor, scattered": Shared(partial(layered, True), p.moved()[1], said=mapped_numbers),
 }  # fmt: skip
