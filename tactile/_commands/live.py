@@ -1,0 +1,234 @@
+"""``loadid tactile live``: a sensor that goes on running, with lines of JSON, a page, recordings and a state."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import signal
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from loadid._commands import UsageError, number, positive
+
+if TYPE_CHECKING:
+    from .._pad.pad import Pad
+    from .._pad.padfile import SensorFile
+    from .._sensors.linear import MultilayerPad
+    from ..live import Live, LiveEvent, LiveFrame
+    from ..vision._frames import Frames
+
+WORD = "live"
+OPTIONS = ("camera", "state", "record", "images", "quiet", "port", "view", "replay", "speed", "lines")
+FIRST = 10  # frames of the unloaded pad that are taken where there is no state
+STRAIN, SHEAR = 0.03, 0.2  # of the press on which lambda is chosen: mean pressure over E; shear over normal force
+
+
+def port(text: str) -> int:
+    """A port from 0 to 65535."""
+    return int(number(text, "port, 0 to 65535", lambda value: value == int(value) and 0 <= value < 65536))
+
+
+def never(text: str) -> float:
+    """Seconds, 0 for never."""
+    return number(text, "number of seconds >= 0", lambda value: 0 <= value < 1e6)
+
+
+def configure(parser: ArgumentParser) -> None:
+    """Options of the live sensor, beside those of a map."""
+    group = parser.add_argument_group("live", "loadid tactile live --pad PAD.toml --camera 0: until it is interrupted")
+    group.add_argument("--camera", metavar="0|FILE|-", help="number or device of a camera, frames as INPUT, or - for "
+                       "images through a pipe")  # fmt: skip
+    group.add_argument("--state", metavar="STATE.h5", help="zero, eye, friction and counters, kept through a kill")
+    group.add_argument("--record", metavar="FILE", action="append", help="recording to write, .h5 or .mcap; may repeat")
+    group.add_argument("--images", action="store_true", help="also record the images")
+    group.add_argument("--quiet", type=never, metavar="S", help="seconds without a touch, after which the zero is taken "
+                       "anew; default 3, 0 for never")  # fmt: skip
+    group.add_argument("--port", type=port, metavar="PORT", help="also send the lines to who connects to this port of "
+                       "127.0.0.1; 0 for any that is free")  # fmt: skip
+    group.add_argument("--view", type=port, metavar="PORT", help="show a page at this port of 127.0.0.1; 0 for any")
+    group.add_argument("--replay", metavar="FILE", help="play a recording instead of a camera")
+    group.add_argument("--speed", type=positive, metavar="X", help="of the recording; default 1")
+    group.add_argument("--lines", choices=("all", "events", "none"), help="what to print; default all")
+
+
+def run(args: Namespace) -> int:
+    """Run until the frames end, or somebody interrupts."""
+    if (args.replay is None) == (args.camera is None):
+        raise UsageError("live takes --camera (with --pad), or --replay")
+    if args.camera is not None and args.pad is None:
+        raise UsageError("needed too: --pad PAD.toml (see loadid tactile --help)")
+    if args.replay is not None:
+        extra = [n for n in ("pad", "state", "record", "images", "quiet") if getattr(args, n)]
+        if extra:
+            raise UsageError(f"--replay plays what was recorded: {', '.join(f'--{n}' for n in extra)} is for a camera")
+    elif args.speed is not None:
+        raise UsageError("--speed is for --replay")
+    with _Out(args) as out:
+        out.played() if args.replay is not None else out.lived()
+    return 0
+
+
+class _Out:
+    """Where frames go: standard output, a port, a page."""
+
+    def __init__(self, args: Namespace) -> None:
+        self._args, self._lines = args, args.lines or "all"
+        self._open: list[Any] = []
+
+    def __enter__(self) -> _Out:
+        from ..live import LineServer, Viewer
+
+        args = self._args
+        self._server = None if args.port is None else LineServer(args.port)
+        self._viewer = None if args.view is None else Viewer(args.view)
+        for name, one in (("lines", self._server), ("page", self._viewer)):
+            if one is not None:
+                self._open.append(one)
+                where = f"127.0.0.1:{one.port}" if isinstance(one, LineServer) else one.address
+                print(f"loadid: {name} at {where}", file=sys.stderr, flush=True)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        for one in self._open:
+            one.close()
+
+    def played(self) -> None:
+        """Frames of a recording."""
+        from ..live import replay
+
+        for frame in replay(self._args.replay, speed=self._args.speed or 1.0):
+            self._frame(frame)
+
+    def lived(self) -> None:
+        """Frames of a camera, until it ends or a signal says so."""
+        args = self._args
+        live = started(args.camera, args.pad, state=args.state, unloaded=args.unloaded, lam=args.lam,
+                       friction=args.friction, no_pull=args.no_pull, allow=args.allow, rate=args.rate,
+                       quiet=args.quiet, record=args.record or (), images=args.images, told=self._event)  # fmt: skip
+        with _until(live), live:
+            for frame in live:
+                self._frame(frame)
+        counts = ", ".join(f"{value} {name}" for name, value in live.counts.items())
+        print(f"loadid: {counts}", file=sys.stderr)
+
+    def _event(self, event: LiveEvent) -> None:
+        from ..live._messages import event_message
+
+        if self._lines == "events":
+            print(json.dumps(event_message(event), allow_nan=False), flush=True)
+
+    def _frame(self, frame: LiveFrame) -> None:
+        from ..live._messages import line
+
+        text = line(frame) if self._lines == "all" or self._server is not None else ""
+        if self._lines == "all":
+            print(text, flush=True)
+        elif self._lines == "events" and self._args.replay is not None:
+            for event in frame.events:
+                self._event(event)
+        if self._server is not None:
+            self._server.listeners.say(text)
+        if self._viewer is not None:
+            self._viewer.show(frame)
+
+
+@contextlib.contextmanager
+def _until(live: Live) -> Iterator[None]:
+    """SIGINT and SIGTERM end the loop as the end of its frames would: the state is written."""
+    import threading
+
+    def stop(*_: Any) -> None:
+        live.stop()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def started(
+    camera: str, pad_file: str, *, state: str | None, unloaded: str | None, lam: float | str | None,
+    friction: float | None, no_pull: bool, allow: Iterable[str], rate: float | None, quiet: float | None, **more: Any,
+) -> Live:  # fmt: skip
+    """The loop of a pad file on a camera: its eye as the state has it, or from the first frames, which must be unloaded.
+
+    Lambda is that of the options, of the state, of the file; else it is chosen on a press that is simulated.
+    """
+    from structures._flags import known_codes
+    from structures.errors import InputError
+
+    from .._pad import padfile
+    from .._pad.pad import Pad
+    from .._sensors.marked import ContactLaw
+    from ..live import Live
+    from ..live._state import kept
+    from ..vision._frames import frames
+
+    codes = [c.removeprefix("LID-") for c in known_codes(list(allow), where="--allow")]
+    settings, before = padfile.read(pad_file), kept(state)
+    if settings.view is None:
+        raise InputError("the camera is not described", where=str(settings.path), found="no table [camera]",
+                         expected="[camera] with a lens, a homography, or points and their pixels")  # fmt: skip
+    pad = Pad.from_settings(settings, allow=[c for c in codes if c[1:2] == "1"])
+    coming = frames(int(camera) if camera.isdecimal() else camera)
+    contact = {**settings.contact, **({"no_pull": True} if no_pull else {})}
+    contact |= {name: v for name, v in (("friction", friction), ("lam", lam)) if v is not None}
+    law = ContactLaw(contact.get("no_pull", False), contact.get("friction"))
+    if before is not None and before.eye is not None:
+        eye = before.rebuilt(settings.view, pad.size)
+    else:
+        count = int(unloaded) if unloaded is not None and unloaded.isdecimal() else FIRST
+        eye = _first(coming, count, settings, pad, tuple(codes))
+    chosen = contact.get("lam")
+    if chosen is None and before is not None:
+        chosen = before.lam
+    sensor = _sensor(pad, eye, law, contact.get("penalty", "identity"), chosen, codes)
+    seconds = {} if quiet is None else {"quiet": quiet or None}
+    return Live(sensor, coming, rate=rate, state=state, **seconds, **more)
+
+
+def _first(coming: Frames, count: int, settings: SensorFile, pad: Pad, codes: tuple[str, ...]) -> Any:
+    """The eye of the first frames, which nothing touches."""
+    from structures.errors import InputError
+
+    from .._arrays import UnusableFrame
+    from ..vision._frames import each
+    from ._sources import first_eye
+
+    seen = (frame for frame in each(coming) if not isinstance(frame, UnusableFrame))
+    still = list(itertools.islice(seen, count))
+    if not still:
+        raise InputError("there are no frames", where="--camera", found="none that can be used",
+                         expected=f"{count} of the unloaded pad to begin with")  # fmt: skip
+    return first_eye(settings, pad, still, codes)
+
+
+def _sensor(pad: Pad, eye: Any, law: Any, penalty: str, lam: float | str | None, codes: list[str]) -> MultilayerPad:
+    """A sensor whose lambda is fixed."""
+    import numpy as np
+
+    from loadid.codes import GUARDS
+
+    from .._closed.presses import Press
+    from .._sensors.linear import MultilayerPad
+
+    fixed = isinstance(lam, int | float)
+    sensor = MultilayerPad(pad, eye=eye, contact=law, penalty=penalty, choice=float(lam) if fixed else lam,
+                           allow=[c for c in codes if c in GUARDS])  # fmt: skip
+    if fixed:
+        return sensor
+    radius = min(pad.thickness, 0.25 * min(pad.size))
+    force = STRAIN * pad.E * np.pi * radius**2
+    press, markers = Press(radius=radius, force=force, shear=(SHEAR * force, 0.0)), sensor.markers
+    u = press.displacement(pad.layer, markers.points[:, :2])
+    seen = u[:, :2] if markers.slope is None else u[:, :2] + markers.slope * u[:, 2:]
+    sensor.calibrate([seen + markers.noise * np.random.default_rng(0).standard_normal(seen.shape)])
+    return sensor
