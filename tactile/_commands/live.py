@@ -44,8 +44,8 @@ def configure(parser: ArgumentParser) -> None:
     group.add_argument("--state", metavar="STATE.h5", help="zero, eye, friction and counters, kept through a kill")
     group.add_argument("--record", metavar="FILE", action="append", help="recording to write, .h5 or .mcap; may repeat")
     group.add_argument("--images", action="store_true", help="also record the images")
-    group.add_argument("--quiet", type=never, metavar="S", help="seconds without a touch, after which the zero is taken "
-                       "anew; default 3, 0 for never")  # fmt: skip
+    group.add_argument("--quiet", type=never, metavar="S", help="seconds without a touch, after which the zero is "
+                       "taken anew; default 3, 0 for never")  # fmt: skip
     group.add_argument("--port", type=port, metavar="PORT", help="also send the lines to who connects to this port of "
                        "127.0.0.1; 0 for any that is free")  # fmt: skip
     group.add_argument("--view", type=port, metavar="PORT", help="show a page at this port of 127.0.0.1; 0 for any")
@@ -158,7 +158,7 @@ def started(
     camera: str, pad_file: str, *, state: str | None, unloaded: str | None, lam: float | str | None,
     friction: float | None, no_pull: bool, allow: Iterable[str], rate: float | None, quiet: float | None, **more: Any,
 ) -> Live:  # fmt: skip
-    """The loop of a pad file on a camera: its eye as the state has it, or from the first frames, which must be unloaded.
+    """The loop of a pad file on a camera: its eye as the state has it, or from its first frames, of the unloaded pad.
 
     Lambda is that of the options, of the state, of the file; else it is chosen on a press that is simulated.
     """
@@ -191,8 +191,9 @@ def started(
     if chosen is None and before is not None:
         chosen = before.lam
     sensor = _sensor(pad, eye, law, contact.get("penalty", "identity"), chosen, codes)
-    seconds = {} if quiet is None else {"quiet": quiet or None}
-    return Live(sensor, coming, rate=rate, state=state, **seconds, **more)
+    if quiet is not None:
+        more["quiet"] = quiet or None
+    return Live(sensor, coming, rate=rate, state=state, **more)
 
 
 def _first(coming: Frames, count: int, settings: SensorFile, pad: Pad, codes: tuple[str, ...]) -> Any:
@@ -220,10 +221,9 @@ def _sensor(pad: Pad, eye: Any, law: Any, penalty: str, lam: float | str | None,
     from .._closed.presses import Press
     from .._sensors.linear import MultilayerPad
 
-    fixed = isinstance(lam, int | float)
-    sensor = MultilayerPad(pad, eye=eye, contact=law, penalty=penalty, choice=float(lam) if fixed else lam,
+    sensor = MultilayerPad(pad, eye=eye, contact=law, penalty=penalty, choice=lam,
                            allow=[c for c in codes if c in GUARDS])  # fmt: skip
-    if fixed:
+    if sensor.frozen:
         return sensor
     radius = min(pad.thickness, 0.25 * min(pad.size))
     force = STRAIN * pad.E * np.pi * radius**2

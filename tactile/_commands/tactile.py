@@ -18,7 +18,7 @@ examples:
   the same from those files, as from your own:
     loadid tactile tactile-demo/frames --pad tactile-demo/pad.toml --depth tactile-demo/depth.npy \\
         --unloaded 6 -o map.h5 --plot map.png --report map.html --video map.mp4
-  a sensor that goes on running, with a page that shows it, a state that outlives a kill, and a recording; and its replay:
+  a sensor that goes on running, with a page, a state that outlives a kill, and a recording; and that played again:
     loadid tactile live --camera 0 --pad pad.toml --view 8000 --state state.h5 --record run.h5
     loadid tactile live --replay run.h5 --speed 2 --view 8000
 

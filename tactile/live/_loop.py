@@ -242,6 +242,10 @@ class Live:
         values = np.array([[one.capture, one.track, one.map, one.out] for one in self._latencies])
         return Latency(*map(float, np.quantile(values, share, axis=0))) if len(values) else Latency()
 
+    def ages(self, share: float = 0.5) -> float:
+        """Quantile of the age of the map when it was taken, over the last frames (s)."""
+        return float(np.quantile([one.total for one in self._latencies], share)) if self._latencies else 0.0
+
     @property
     def friction(self) -> Any:
         """Friction coefficient as it was learned so far, `Friction`, or None."""
