@@ -24,6 +24,7 @@ from structures.errors import InputError, positive
 
 from .. import _guards as guards
 from .._arrays import UnusableFrame
+from .._sensors.linear import LinearSensor
 from .._sensors.marked import MarkedSensor, is_image
 from .._sensors.observation import DepthMap
 from ..vision._frames import Frames, each, frames
@@ -253,6 +254,8 @@ class Live:
 
     # -- stages -------------------------------------------------------------------------------------------------------
     def _run(self) -> None:
+        if isinstance(self.sensor, LinearSensor) and self.sensor.frozen:
+            self.sensor.inverse  # noqa: B018  (built before frames wait for it)
         stages = (("capture", self._captured), ("track", self._tracking), ("map", self._mapping), ("keep", self._keep))
         for name, work in stages:
             thread = threading.Thread(target=self._guarded, args=(name, work), name=f"tactile {name}", daemon=True)

@@ -27,7 +27,7 @@ FAR = 3.0  # times the median distance, or the noise: markers that do not count 
 FITS = 2
 SEEN = 0.9  # share of the markers that must be seen, for the rest to be told
 FEWEST = 8  # frames of a zero
-STEADY, LARGER = 3.0, 2.0  # over what noise explains: the change within a quiet time; a step that is told
+STEADY, LARGER = 1.5, 2.0  # over what noise explains: the change within a quiet time; a step that is told
 GAP = 1.0  # s without a frame, that end a quiet time
 
 
@@ -97,6 +97,7 @@ class Rest:
             return None
         if self.touched or pause:
             self._begin()
+        if self.touched:
             return None
         if self._from is None:
             self._from = time

@@ -101,7 +101,7 @@ def long(elements: int, frames: int, rate: float, real: bool, record: bool) -> N
         live = Live(sensor, source, rate=rate, drop=False, state=Path(folder) / "state.h5", record=where)
         start, cpu, count, first = time.perf_counter(), time.process_time(), 0, 0.0
         most = 0.0
-        for count, _ in enumerate(live, 1):  # noqa: B007
+        for count, _ in enumerate(live, 1):
             if count == frames // 10:
                 first = resident()
             elif count > frames // 10 and count % 1000 == 0:
