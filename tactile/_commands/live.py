@@ -61,7 +61,8 @@ def run(args: Namespace) -> int:
     if args.camera is not None and args.pad is None:
         raise UsageError("needed too: --pad PAD.toml (see loadid tactile --help)")
     if args.replay is not None:
-        extra = [n for n in ("pad", "state", "record", "images", "quiet") if getattr(args, n)]
+        extra = [n for n in ("pad", "state", "record", "quiet") if getattr(args, n) is not None]
+        extra += ["images"] if args.images else []
         if extra:
             raise UsageError(f"--replay plays what was recorded: {', '.join(f'--{n}' for n in extra)} is for a camera")
     elif args.speed is not None:

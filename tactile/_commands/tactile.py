@@ -80,7 +80,7 @@ def _configure(parser: ArgumentParser) -> None:
 def _run(args: Namespace) -> int:
     if args.input == live.WORD:
         return _live(args)
-    given = [name for name in live.OPTIONS if getattr(args, name) not in (None, False)]
+    given = [n for n in live.OPTIONS if getattr(args, n) is not None and getattr(args, n) is not False]
     if given:
         raise UsageError(f"{', '.join(_spelled(n) for n in given)} is for live only: loadid tactile live ...")
     return _demo(args) if args.input == DEMO else _map(args)

@@ -1,7 +1,7 @@
 """A live sensor: maps a second, latency of every stage, and a long run. ``python -m tests.benchmarks.live``.
 
-    --frames 1200        640 x 480 images of 520 markers, a pad with 42 x 42 cells (1849 nodes, 5547 unknowns): as fast as
-                         they go, then at 60 a second as a camera gives them, which does not wait
+    --frames 1200        640 x 480 images of 520 markers, a pad with 42 x 42 cells (1849 nodes, 5547 unknowns): as fast
+                         as they go, then at 60 a second as a camera gives them, which does not wait
     --rate 60            of that camera
     --long 216000        an hour at 60 a second, 1 % of them black, as fast as they go (--real: at the rate): maps lost,
                          growth of memory after the first tenth
