@@ -42,7 +42,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings = padfile.read(folder / "pad.toml")
     fine = Pad.from_settings(replace(settings, body={**settings.body, "pitch": 0.5e-3, "layers": 6}))
     scene = Scene(size=(240, 320), radius=0.22e-3, blur=1.0, noise=2.0)
-    pressed = fine.surface.forces(Press(radius=2.2e-3, force=0.2, shear=(0.08, 0.0)).traction(fine.nodes2d))
+    pressed = fine.surface.forces(Press(radius=2.2e-3, force=2e-3, shear=(0.08, 0.0)).traction(fine.nodes2d))
     moved = np.asarray(fine.from_surface(MARKERS) @ fine.displacements(pressed).ravel()).reshape(-1, 3)
     flat = np.column_stack([MARKERS, np.zeros(len(MARKERS))])
     assert settings.view is not None
