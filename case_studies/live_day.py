@@ -2,10 +2,10 @@
 
 A camera is simulated frame by frame: the dots of a gel pad (16 x 12 x 3 mm) under presses of known force, moved by a
 finer mesh than that of the maps, with blur and two grey levels of noise, and beside it a depth map with 5 um of noise,
-as in-plane dots alone hardly tell the pressure. In the course of the day the light falls by a
-third, frames are black, dots wear off, a hand covers a third of the view, the camera is knocked by a pixel and a half,
-an object slides, and the process is stopped under a load and started again from its state. `tactile.live.Live` sees these frames and
-nothing else. For each part of the day stand what was said in it, and the force of its last frames beside the truth.
+as in-plane dots alone hardly tell the pressure. In the course of the day the light falls by a third, frames are black,
+dots wear off, a hand covers a third of the view, the camera is knocked by a pixel and a half, an object slides, and the
+process is stopped under a load and started again from its state. `tactile.live.Live` sees these frames and nothing
+else. For each part of the day stand what was said in it, and the force of its last frames beside the truth.
 
 Run ``python -m case_studies.live_day``: prints the table.
 """
@@ -179,8 +179,7 @@ def _press(force: float = FORCE, shear: tuple[float, float] = (0.08, 0.0), x: fl
 
 def scenes(short: bool = False) -> list[Scenery]:
     """The day: rest and presses, and what else happens."""
-    n = 40 if short else 90
-    rest, held = (None,) * n, (_press(),) * (n // 2)
+    rest, held = (None,) * (60 if short else 90), (_press(),) * (20 if short else 45)
     slide = [_press(shear=(min(MU * FORCE * k / 15, MU * FORCE), 0.0), x=1e-3 * max(k - 15, 0) / 15 - 1.5e-3)
              for k in range(60)]  # fmt: skip
     return [

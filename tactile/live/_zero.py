@@ -76,7 +76,7 @@ class Rest:
         self.score = 0.0  # of the last frame, in stds
         self._last: float | None = None
         self._from: float | None = None  # time at which it became quiet
-        self._quiet, self._halves = 0, np.zeros((2, 2, self._count))  # frames; sums and counts of its two halves
+        self._quiet, self._halves = np.zeros(2, int), np.zeros((2, 2, self._count))  # frames, sums and counts of halves
 
     @property
     def touched(self) -> bool:
@@ -102,28 +102,28 @@ class Rest:
         if self._from is None:
             self._from = time
         known = np.isfinite(y)
-        half = self._halves[1 if time - self._from >= 0.5 * self.seconds else 0]
-        half[0] += np.where(known, y, 0.0)
-        half[1] += known
-        self._quiet += 1
-        if time - self._from < self.seconds or self._quiet < FEWEST:
+        half = int(time - self._from >= 0.5 * self.seconds)
+        self._halves[half] += np.where(known, y, 0.0), known
+        self._quiet[half] += 1
+        if time - self._from < self.seconds or self._quiet.sum() < FEWEST:
             return None
         return self._taken(number, time)
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _begin(self) -> None:
-        self._from, self._quiet = None, 0
-        self._halves = np.zeros((2, 2, self._count))
+        self._from = None
+        self._quiet[:], self._halves[:] = 0, 0.0
 
     def _taken(self, number: int, time: float) -> ZeroStep | None:
-        """The zero of the quiet time that has passed, where it was steady; the next one begins."""
-        (first, n), (second, m) = self._halves
+        """The zero of the quiet time that has passed; where it was not steady, its second half begins another."""
+        (first, n), (second, m) = self._halves.copy()
         both = (n > 0) & (m > 0)
         apart = _rms(first[both] / n[both] - second[both] / m[both])
-        frames, total, counts = self._quiet, first + second, n + m
+        frames, later, total, counts = int(self._quiet.sum()), int(self._quiet[1]), first + second, n + m
         self._begin()
         chance = self._level * np.sqrt(float(np.mean(1 / n[both] + 1 / m[both]))) if both.any() else 0.0
         if not both.any() or apart > STEADY * chance:
+            self._from, self._quiet[0], self._halves[0] = time - 0.5 * float(self.seconds or 0), later, (second, m)
             return None
         offset = self.sensor.offset
         before = offset[: self._count].copy()
