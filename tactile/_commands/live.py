@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import signal
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from loadid._commands import UsageError, number, positive
 
 if TYPE_CHECKING:
-    from .._pad.pad import Pad
-    from .._pad.padfile import SensorFile
-    from .._sensors.linear import MultilayerPad
     from ..live import Live, LiveEvent, LiveFrame
-    from ..vision._frames import Frames
 
 WORD = "live"
 OPTIONS = ("camera", "state", "record", "images", "quiet", "port", "view", "replay", "speed", "lines")
-FIRST = 10  # frames of the unloaded pad that are taken where there is no state
-STRAIN, SHEAR = 0.03, 0.2  # of the press on which lambda is chosen: mean pressure over E; shear over normal force
 
 
 def port(text: str) -> int:
@@ -105,10 +98,17 @@ class _Out:
 
     def lived(self) -> None:
         """Frames of a camera, until it ends or a signal says so."""
+        from structures._flags import known_codes
+
+        from ..live import start
+
         args = self._args
-        live = started(args.camera, args.pad, state=args.state, unloaded=args.unloaded, lam=args.lam,
-                       friction=args.friction, no_pull=args.no_pull, allow=args.allow, rate=args.rate,
-                       quiet=args.quiet, record=args.record or (), images=args.images, told=self._event)  # fmt: skip
+        settings: dict[str, Any] = {} if args.quiet is None else {"quiet": args.quiet or None}
+        settings |= {} if args.unloaded is None else {"unloaded": _count(args.unloaded)}
+        camera = int(args.camera) if args.camera.isdecimal() else args.camera
+        live = start(args.pad, camera, state=args.state, lam=args.lam, friction=args.friction, no_pull=args.no_pull,
+                     allow=known_codes(args.allow, where="--allow"), rate=args.rate, record=args.record or (),
+                     images=args.images, told=self._event, **settings)  # fmt: skip
         with _until(live), live:
             for frame in live:
                 self._frame(frame)
@@ -136,6 +136,12 @@ class _Out:
             self._viewer.show(frame)
 
 
+def _count(text: str) -> int:
+    if not (text.isdecimal() and int(text) > 0):
+        raise UsageError(f"live takes --unloaded N, the frames that it begins with, not {text!r}")
+    return int(text)
+
+
 @contextlib.contextmanager
 def _until(live: Live) -> Iterator[None]:
     """SIGINT and SIGTERM end the loop as the end of its frames would: the state is written."""
@@ -153,83 +159,3 @@ def _until(live: Live) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def started(
-    camera: str, pad_file: str, *, state: str | None, unloaded: str | None, lam: float | str | None,
-    friction: float | None, no_pull: bool, allow: Iterable[str], rate: float | None, quiet: float | None, **more: Any,
-) -> Live:  # fmt: skip
-    """The loop of a pad file on a camera: its eye as the state has it, or from its first frames, of the unloaded pad.
-
-    Lambda is that of the options, of the state, of the file; else it is chosen on a press that is simulated.
-    """
-    from structures._flags import known_codes
-    from structures.errors import InputError
-
-    from .._pad import padfile
-    from .._pad.pad import Pad
-    from .._sensors.marked import ContactLaw
-    from ..live import Live
-    from ..live._state import kept
-    from ..vision._frames import frames
-
-    codes = [c.removeprefix("LID-") for c in known_codes(list(allow), where="--allow")]
-    settings, before = padfile.read(pad_file), kept(state)
-    if settings.view is None:
-        raise InputError("the camera is not described", where=str(settings.path), found="no table [camera]",
-                         expected="[camera] with a lens, a homography, or points and their pixels")  # fmt: skip
-    pad = Pad.from_settings(settings, allow=[c for c in codes if c[1:2] == "1"])
-    coming = frames(int(camera) if camera.isdecimal() else camera)
-    contact = {**settings.contact, **({"no_pull": True} if no_pull else {})}
-    contact |= {name: v for name, v in (("friction", friction), ("lam", lam)) if v is not None}
-    law = ContactLaw(contact.get("no_pull", False), contact.get("friction"))
-    if before is not None and before.eye is not None:
-        eye = before.rebuilt(settings.view, pad.size)
-    else:
-        count = int(unloaded) if unloaded is not None and unloaded.isdecimal() else FIRST
-        eye = _first(coming, count, settings, pad, tuple(codes))
-    chosen = contact.get("lam")
-    if chosen is None and before is not None:
-        chosen = before.lam
-    sensor = _sensor(pad, eye, law, contact.get("penalty", "identity"), chosen, codes)
-    if quiet is not None:
-        more["quiet"] = quiet or None
-    return Live(sensor, coming, rate=rate, state=state, **more)
-
-
-def _first(coming: Frames, count: int, settings: SensorFile, pad: Pad, codes: tuple[str, ...]) -> Any:
-    """The eye of the first frames, which nothing touches."""
-    from structures.errors import InputError
-
-    from .._arrays import UnusableFrame
-    from ..vision._frames import each
-    from ._sources import first_eye
-
-    seen = (frame for frame in each(coming) if not isinstance(frame, UnusableFrame))
-    still = list(itertools.islice(seen, count))
-    if not still:
-        raise InputError("there are no frames", where="--camera", found="none that can be used",
-                         expected=f"{count} of the unloaded pad to begin with")  # fmt: skip
-    return first_eye(settings, pad, still, codes)
-
-
-def _sensor(pad: Pad, eye: Any, law: Any, penalty: str, lam: float | str | None, codes: list[str]) -> MultilayerPad:
-    """A sensor whose lambda is fixed."""
-    import numpy as np
-
-    from loadid.codes import GUARDS
-
-    from .._closed.presses import Press
-    from .._sensors.linear import MultilayerPad
-
-    sensor = MultilayerPad(pad, eye=eye, contact=law, penalty=penalty, choice=lam,
-                           allow=[c for c in codes if c in GUARDS])  # fmt: skip
-    if sensor.frozen:
-        return sensor
-    radius = min(pad.thickness, 0.25 * min(pad.size))
-    force = STRAIN * pad.E * np.pi * radius**2
-    press, markers = Press(radius=radius, force=force, shear=(SHEAR * force, 0.0)), sensor.markers
-    u = press.displacement(pad.layer, markers.points[:, :2])
-    seen = u[:, :2] if markers.slope is None else u[:, :2] + markers.slope * u[:, 2:]
-    sensor.calibrate([seen + markers.noise * np.random.default_rng(0).standard_normal(seen.shape)])
-    return sensor

@@ -183,6 +183,7 @@ class Live:
         self._latencies: deque[Latency] = deque(maxlen=KEPT)
         self._asked, self._stopped = threading.Event(), threading.Event()
         self._threads: list[threading.Thread] = []
+        self._unkept = False
         self._checked = clock.monotonic()
         self._dropped_before = self.counts["dropped"], self.counts["unrecorded"]
 
@@ -340,7 +341,7 @@ class Live:
         slipped = next((flag.message for flag in found.flags if flag.code == "LID-W611"), None)
         slip: SlipMap | None = None
         self._slip.sliding = False
-        if self._rest.touched and slipped is None:
+        if self._rest.touched and np.isfinite(self._rest.score) and slipped is None:
             slip = self._slip.update(item.time, found, found.contact())
         image = item.frame if self._pictured(item.frame) else None
         lost = np.asarray(np.isnan(y.reshape(len(self.sensor.markers), -1)).any(axis=1))
@@ -359,8 +360,7 @@ class Live:
                 self._recorded(one, item)
             if self.state is not None and clock.monotonic() - self._checked >= CHECKPOINT:
                 self._checked = clock.monotonic()
-                self._counted()
-                self._state().write(self.state)
+                self._checkpoint(item)
 
     # -- inside -------------------------------------------------------------------------------------------------------
     def _recorded(self, one: Recording, item: _Item) -> None:
@@ -372,6 +372,18 @@ class Live:
             self._records.remove(one)
             text = f"{one.path}: {error.strerror or error}"
             self._say([self._watch.once("not recorded", item.number, item.time, text)])
+
+    def _checkpoint(self, item: _Item) -> None:
+        """Write the state; where that fails it is said once, and tried again."""
+        assert self.state is not None
+        self._counted()
+        try:
+            self._state().write(self.state)
+            self._unkept = False
+        except InputError as error:
+            if not self._unkept:
+                self._say([self._watch.once("state not written", item.number, item.time, str(error))])
+            self._unkept = True
 
     def _pairs(self) -> Iterator[tuple[Any, DepthMap | None]]:
         """Frames with their depth maps; a camera that is gone is opened again."""

@@ -291,6 +291,53 @@ def test_lines_go_to_who_listens_and_nobody_waits_for_him() -> None:
     server.close()
 
 
+def test_the_node_of_the_example_fills_its_messages(
+    day: tuple[Path, list[LiveFrame]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With stand-ins for ROS 2 that hold only the fields that its messages have."""
+    import importlib.util
+    from types import ModuleType, SimpleNamespace
+
+    def kind(*fields: str, **parts: Any) -> Any:
+        def made(**given: Any) -> SimpleNamespace:
+            assert set(given) <= {*fields, *parts}
+            return SimpleNamespace(**{name: make() for name, make in parts.items()}, **given)
+
+        return made
+
+    header = kind(stamp=SimpleNamespace)
+    cloud = {"height", "width", "fields", "is_bigendian", "point_step", "row_step", "data", "is_dense", "header"}
+    stand_ins = {
+        "rclpy": {}, "rclpy.node": {"Node": object}, "rclpy.qos": {"qos_profile_sensor_data": 5},
+        "geometry_msgs.msg": {"Vector3": kind("x", "y", "z"),
+                              "WrenchStamped": kind(header=header, wrench=SimpleNamespace)},
+        "sensor_msgs.msg": {"PointCloud2": kind(*cloud), "PointField": kind("name", "offset", "datatype", "count")},
+        "std_msgs.msg": {"String": kind("data")},
+    }  # fmt: skip
+    for name, content in stand_ins.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    path = ROOT / "docs" / "examples" / "ros2" / "tactile_node.py"
+    spec = importlib.util.spec_from_file_location("tactile_node", path)
+    assert spec is not None
+    assert spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    node, sent = example.TactileNode.__new__(example.TactileNode), []
+    node.frame = "gel"
+    node.wrench = node.field = node.events = SimpleNamespace(publish=sent.append)
+    _, found = day
+    node.publish(found[6])
+    force, points, word = sent[:3]
+    assert force.header.frame_id == "gel"
+    assert force.header.stamp.sec + 1e-9 * force.header.stamp.nanosec == pytest.approx(found[6].time, abs=1e-8)
+    assert vars(force.wrench.force) == wrench(found[6].map)["force"]
+    assert points.data == point_cloud(found[6].map)["data"]
+    assert [field.name for field in points.fields] == ["x", "y", "z", "fx", "fy", "fz"]
+    assert "no image" in word.data
+
+
 # -- page -------------------------------------------------------------------------------------------------------------
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
