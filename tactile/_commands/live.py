@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from loadid._commands import UsageError, number, positive
+from loadid._commands import UsageError, number, positive, say
 
 if TYPE_CHECKING:
     from ..live import Live, LiveEvent, LiveFrame
@@ -82,7 +81,7 @@ class _Out:
             if one is not None:
                 self._open.append(one)
                 where = f"127.0.0.1:{one.port}" if isinstance(one, LineServer) else one.address
-                print(f"loadid: {name} at {where}", file=sys.stderr, flush=True)
+                say(f"loadid: {name} at {where}", aside=True)
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -113,20 +112,20 @@ class _Out:
             for frame in live:
                 self._frame(frame)
         counts = ", ".join(f"{value} {name}" for name, value in live.counts.items())
-        print(f"loadid: {counts}", file=sys.stderr)
+        say(f"loadid: {counts}", aside=True)
 
     def _event(self, event: LiveEvent) -> None:
         from ..live._messages import event_message
 
         if self._lines == "events":
-            print(json.dumps(event_message(event), allow_nan=False), flush=True)
+            say(json.dumps(event_message(event), allow_nan=False))
 
     def _frame(self, frame: LiveFrame) -> None:
         from ..live._messages import line
 
         text = line(frame) if self._lines == "all" or self._server is not None else ""
         if self._lines == "all":
-            print(text, flush=True)
+            say(text)
         elif self._lines == "events" and self._args.replay is not None:
             for event in frame.events:
                 self._event(event)

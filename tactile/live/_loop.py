@@ -39,6 +39,7 @@ from ._zero import Rest
 log = logging.getLogger(__name__)
 QUIET = 3.0  # s without a touch, after which the zero is taken anew
 ROOM = {"capture": 2, "track": 2, "map": 2, "keep": 64}  # frames that wait after each stage
+NEWEST = {"capture": 1, "track": 1}  # of a camera: what waits grows old
 KEPT = 2000  # frames over which the latency is told
 CHECKPOINT = 5.0  # s between two files of the state
 PATIENCE = 2.0  # s for a source that gives nothing, when it is to end
@@ -173,7 +174,8 @@ class Live:
         self._slip = SlipWatch(None if before is None else before.friction)
         self._watch = Watch(sensor.markers.points[:, :2])
         dropping = self._live if drop is None else bool(drop)
-        self._queues = {name: Waiting[_Item](room, drop=dropping) for name, room in ROOM.items()}
+        rooms = {**ROOM, **(NEWEST if dropping else {})}
+        self._queues = {name: Waiting[_Item](room, drop=dropping) for name, room in rooms.items()}
         self._records: list[Recording] = [recording(p) for p in _listed(record)]
         self._said: list[LiveEvent] = []
         self._lost: list[int] = []

@@ -6,7 +6,7 @@
     --long 216000        an hour at 60 a second, 1 % of them black, as fast as they go (--real: at the rate): maps lost,
                          growth of memory after the first tenth
     --record             into an HDF5 file too
-    --only speed|long
+    --only cost|speed|long
 
 Printed beside it: the same images one after another through `MultilayerPad.stream`, which is what one would write
 without it. BLAS threads as they are set: OPENBLAS_NUM_THREADS=1 suits a machine with two cores.
@@ -18,7 +18,7 @@ import argparse
 import itertools
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,63 @@ def shown(live: Live, frames: int, wall: float, cpu: float, word: str) -> None:
         print(f"  p{100 * share:.0f} ms: {parts}; whole {1e3 * ages:.1f}", flush=True)
 
 
+def cost(elements: int) -> None:
+    """CPU milliseconds of every part of a frame, at rest and touched: the least of five rounds of twelve."""
+    from tactile.live import message, point_cloud, recording
+    from tactile.live._events import Watch
+    from tactile.live._frame import LiveFrame
+    from tactile.live._messages import line
+    from tactile.live._slip import SlipWatch
+    from tactile.live._state import state_of
+    from tactile.live._viewer import _Drawn
+    from tactile.live._zero import Rest
+
+    sensor, images = built(elements)
+    eye = sensor.eye
+    assert eye is not None
+    detector = eye.tracker.detector
+    assert detector is not None
+    for word, many in (("at rest", QUIET), ("touched", QUIET + PRESSES)):
+        motions = [eye.read(image)[0] for image in images[:many]]
+        image, motion = images[many - 1], motions[-1]
+        y, none = sensor.markers.readings(motion), np.zeros(len(motion), bool)
+        rest, watch, slip, found = Rest(sensor, 3.0), Watch(sensor.markers.points), SlipWatch(), sensor.estimate(motion)
+        frame = LiveFrame(1, 0.0, found, motion, True)
+        drawn, number = _Drawn(found), itertools.count()
+        with tempfile.TemporaryDirectory() as folder:
+            hdf5, mcap = (recording(Path(folder) / f"a{kind}") for kind in (".h5", ".mcap"))
+            state = state_of(sensor, 1, {}, rest.anchor, slip.kept())
+            parts = {
+                "dots found": lambda: detector(image),  # noqa: B023
+                "dots found and followed": lambda: eye.tracker.step(image),  # noqa: B023
+                "image to motion": lambda: eye.read(image),  # noqa: B023
+                "motion to map": lambda: sensor.estimate(motion),  # noqa: B023
+                "zero": lambda: rest.update(0, next(number) / 60, y),  # noqa: B023
+                "slip": lambda: slip.update(next(number) / 60, found, found.contact()),  # noqa: B023
+                "events": lambda: watch.seen(1, 0.0, image, none, None, False),  # noqa: B023
+                "line of JSON": lambda: line(frame),  # noqa: B023
+                "picture of the page": lambda: {**message(frame), **drawn.picture(frame)},  # noqa: B023
+                "point cloud": lambda: point_cloud(found),  # noqa: B023
+                "HDF5": lambda: hdf5.append(frame),  # noqa: B023
+                "MCAP": lambda: mcap.append(frame),  # noqa: B023
+                "state, every 5 s": lambda: state.write(Path(folder) / "s.h5"),  # noqa: B023
+            }
+            print(f"CPU ms {word}: " + ", ".join(f"{name} {_least(work):.2f}" for name, work in parts.items()))
+            hdf5.close()
+            mcap.close()
+
+
+def _least(work: Callable[[], Any], rounds: int = 5, calls: int = 12) -> float:
+    work()
+    found = []
+    for _ in range(rounds):
+        start = time.process_time()
+        for _ in range(calls):
+            work()
+        found.append(1e3 * (time.process_time() - start) / calls)
+    return min(found)
+
+
 def speed(elements: int, frames: int, rate: float, record: bool) -> None:
     """As fast as it goes, at a rate, and one after another."""
     sensor, images = built(elements)
@@ -121,11 +178,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--long", type=int, default=216000)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--record", action="store_true")
-    parser.add_argument("--only", choices=("speed", "long"))
+    parser.add_argument("--only", choices=("cost", "speed", "long"))
     given = parser.parse_args(arguments)
-    if given.only != "long":
+    if given.only in (None, "cost"):
+        cost(given.elements)
+    if given.only in (None, "speed"):
         speed(given.elements, given.frames, given.rate, given.record)
-    if given.only != "speed":
+    if given.only in (None, "long"):
         long(given.elements, given.long, given.rate, given.real, given.record)
 
 
