@@ -163,6 +163,8 @@ def long(elements: int, frames: int, rate: float, real: bool, record: bool) -> N
                 first = resident()
             elif count > frames // 10 and count % 1000 == 0:
                 most = max(most, resident() - first)
+            if count % (frames // 10) == 0:
+                print(f"  {count} maps, {resident():.1f} MB, {time.perf_counter() - start:.0f} s", flush=True)
         shown(live, count, time.perf_counter() - start, time.process_time() - cpu, f"{frames} frames")
     black = frames // BLACK
     print(f"  {black} black, {frames - black - count} maps lost; memory {first:.1f} MB, at most {most:+.1f} MB later, "
