@@ -221,7 +221,7 @@ def test_kills_keep_state_and_recordings(tmp_path: Path) -> None:
         assert process.stdout is not None
         first = int(process.stdout.readline())
         assert first == reached + 1  # goes on where the state was
-        for _ in range(100 + int(rng.integers(30)))  # at most 64 of them wait to be kept:
+        for _ in range(100 + int(rng.integers(30))):  # at most 64 of them wait to be kept
             last = int(process.stdout.readline())
         time.sleep(float(rng.uniform(0, 0.03)))
         os.kill(process.pid, signal.SIGKILL)
