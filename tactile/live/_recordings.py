@@ -16,6 +16,7 @@ import os
 import re
 import time as clock
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,6 +32,7 @@ from .._sensors.posing import channels
 from ._events import LiveEvent
 from ._frame import LiveFrame
 from ._messages import message
+from ._slip import SlipWatch
 
 SUFFIXES = (".h5", ".mcap")
 FLUSH = 0.5  # s between two flushes: what a kill may cost
@@ -343,7 +345,7 @@ def _unreadable(path: Path, error: Any) -> InputError:
 def replay(path: str | os.PathLike[str], *, speed: float | None = 1.0) -> Iterator[LiveFrame]:
     """Frames of a recording, all its parts after each other, as they were when it was made.
 
-    Maps are those that were recorded, in single precision; slip and latency are not kept.
+    Maps are those that were recorded, in single precision; friction is learned from them anew, latency is not kept.
 
     Parameters
     ----------
@@ -369,7 +371,7 @@ def replay(path: str | os.PathLike[str], *, speed: float | None = 1.0) -> Iterat
 
 def _played(files: list[Path], pace: float | None) -> Iterator[LiveFrame]:
     last: float | None = None
-    due = clock.monotonic()
+    due, watch = clock.monotonic(), SlipWatch()
     for file in files:
         head, arrays, rows = _read_hdf5(file) if file.suffix.lower() == ".h5" else _read_mcap(file)
         if head.get("is") != "tactile recording" or head.get("format") != FORMAT:
@@ -382,4 +384,5 @@ def _played(files: list[Path], pace: float | None) -> Iterator[LiveFrame]:
                 due = max(due + max(frame.time - last, 0.0) / pace, clock.monotonic() - 1.0)
                 clock.sleep(max(due - clock.monotonic(), 0.0))
             last = frame.time
-            yield frame
+            slips = frame.touched and "W611" not in frame.map.codes
+            yield replace(frame, slip=watch.update(last, frame.map, frame.map.contact())) if slips else frame

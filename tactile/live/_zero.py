@@ -25,7 +25,7 @@ TOUCH = 6.0  # stds of a marker and its neighbours together; of a thousand such 
 AROUND = 9  # a marker and its neighbours
 FAR = 3.0  # times the median distance, or the noise: markers that do not count in the fit of the camera's motion
 FITS = 2
-SEEN = 0.9  # share of the markers that must be seen, for the rest to be told
+SEEN, HIDDEN = 0.5, 0.03  # share of the markers that tells of a touch; that may be lost beyond the usual when quiet
 FEWEST = 8  # frames of a zero
 STEADY, LARGER = 1.5, 2.0  # over what noise explains: the change within a quiet time; a step that is told
 GAP = 1.0  # s without a frame, that end a quiet time
@@ -75,6 +75,7 @@ class Rest:
         self.anchor, self.frames = sensor.offset[: self._count], 1
         self.score = 0.0  # of the last frame, in stds
         self._last: float | None = None
+        self._lost, self._usual = 0.0, 1.0  # share of the markers that is lost now, and the least of all frames
         self._from: float | None = None  # time at which it became quiet
         self._quiet, self._halves = np.zeros(2, int), np.zeros((2, 2, self._count))  # frames, sums and counts of halves
 
@@ -95,9 +96,10 @@ class Rest:
         self._last = time
         if self.seconds is None:
             return None
-        if self.touched or pause:
+        told = not self.touched and self._lost <= self._usual + HIDDEN
+        if pause or not told:
             self._begin()
-        if self.touched:
+        if not told:
             return None
         if self._from is None:
             self._from = time
@@ -138,7 +140,9 @@ class Rest:
         """Largest motion of a marker and its neighbours that no motion of the camera explains, in stds."""
         moved = (y - self.anchor).reshape(self._shape)
         seen = np.asarray(np.isfinite(moved).all(axis=1))
-        if seen.mean() < SEEN:
+        self._lost = 1 - float(seen.mean())
+        self._usual = min(self._usual, self._lost)
+        if self._lost > 1 - SEEN:
             return np.inf
         left = moved.copy()
         left[:, :2] -= self._seen_anew(moved[:, :2], seen)

@@ -226,10 +226,17 @@ def test_a_load_is_never_zeroed(force: float) -> None:
 def test_a_quiet_time_needs_its_markers_and_no_pause() -> None:
     here = fresh()
     watch = Rest(here, 1.0)
-    half = resting(1)[0]
-    half[: len(half) // 2] = np.nan
-    assert all(watch.update(k, k / RATE, half.ravel()) is None for k in range(100))
-    assert watch.score == np.inf
+    watch.update(0, -9.0, resting(1)[0].ravel())
+    for share, score in ((0.6, np.inf), (0.2, 6.0)):  # too few to tell; and a hand, under which anything may be
+        part = resting(1)[0]
+        part[: int(share * len(part))] = np.nan
+        assert all(watch.update(k, k / RATE, part.ravel()) is None for k in range(100))
+        assert watch.score <= score
+        assert watch.touched is (score == np.inf)
+    assert np.all(here.offset == 0)
+    worn = Rest(fresh(), 1.0)
+    steps = [worn.update(k, k / RATE, part.ravel()) for k in range(100)]
+    assert [s.frames for s in steps if s is not None] == [61]  # dots that never were there are no hand
     for k, u in enumerate(resting(100)):
         assert watch.update(k, 2.0 * k, u.ravel()) is None  # two seconds between frames: who knows what was
     few = resting(100, 4)

@@ -132,6 +132,10 @@ def test_a_recording_gives_the_same_maps(day: tuple[Path, list[LiveFrame]], name
         assert one.map.codes == like.map.codes
         assert one.map.facts["lost"] == like.map.facts["lost"]
         assert np.array_equal(one.map.contact().mask, like.map.contact().mask)
+    slid, told = again[-1].slip, found[-1].slip
+    assert slid is not None
+    assert told is not None
+    assert slid.friction.value == pytest.approx(told.friction.value, rel=1e-5)
     assert np.allclose(again[-1].map.forces(), found[-1].map.forces(), rtol=1e-5, atol=1e-12)
 
 
