@@ -43,6 +43,7 @@ _PUBLIC = {
 _PARTS = {
     "design": "tactile.design",
     "halfspace": "tactile._closed.halfspace",
+    "live": "tactile.live",
     "material": "tactile.material",
     "metrics": "tactile.metrics",
     "outline": "tactile._pad.body",

@@ -26,7 +26,7 @@ PUBLIC = (
     "structures", "structures.bases", "structures.errors", "structures.files", "structures.units",
     "loadid", "loadid.codes", "loadid.constraints", "loadid.design", "loadid.paths", "loadid.priors", "loadid.settings",
     "loadid.sources", "loadid.validate",
-    "tactile", "tactile.design", "tactile.material", "tactile.metrics", "tactile.vision",
+    "tactile", "tactile.design", "tactile.live", "tactile.material", "tactile.metrics", "tactile.vision",
 )  # fmt: skip
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
 

@@ -91,7 +91,7 @@ def test_the_default_install_has_what_the_packages_import() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
     allowed = (
         {line.split(">")[0] for line in declared}
-        | {"cv2", "PIL", "distributed", "pyarrow", "fatpack", "paho", "zmq"}
+        | {"cv2", "PIL", "distributed", "pyarrow", "fatpack", "paho", "zmq", "mcap"}
         | {*PACKAGES}
         | sys.stdlib_module_names
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from case_studies import gelslim, ifem2, one_press
+from case_studies import gelslim, ifem2, live_day, one_press
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +94,35 @@ class TestOnePress:
         assert "0 of 48" in one_press.show(press)
         one_press.picture(press, tmp_path / "x.png")
         assert (tmp_path / "x.png").stat().st_size > 20_000
+
+
+class TestLiveDay:
+    def test_what_is_said_and_how_wrong_the_force_is(self):
+        found = live_day.live_day(short=True)
+        said = {part.name: part.said for part in found.parts if part.said}
+        assert said == {
+            "light falls by a third": ["+light"],
+            "light is back": ["-light"],
+            "black frames": ["+no image"],
+            "frames are back": ["-no image"],
+            "eight dots are worn off": ["+markers lost"],
+            "hand over a third": ["+covered", "-markers lost"],
+            "hand is gone": ["+markers lost", "-covered"],
+            "let go": ["-markers lost"],
+            "camera is knocked": ["+camera moved", "zeroed", "-camera moved"],
+            "object slides": ["+sliding"],
+        }
+        for part in found.parts:
+            if part.name not in ("hand over a third", "black frames"):
+                assert part.error < 0.012, part.name
+                assert part.maps == part.frames
+        assert found["hand over a third"].error < 0.15 * found["hand over a third"].force
+        assert found["black frames"].maps == 0
+        value, std = found.friction
+        assert value == pytest.approx(live_day.MU, abs=2 * std)
+        assert std < 0.03
+        assert found.counts["dead"] == 10
+        assert "friction learned" in live_day.show(found)
 
 
 class TestSeveralLayers:

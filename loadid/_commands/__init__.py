@@ -74,6 +74,11 @@ def emit(args: Namespace, data: Any, text: str) -> None:
     print(text)
 
 
+def say(text: str, *, aside: bool = False) -> None:
+    """Print a line at once, for who reads a pipe; aside (on standard error) what is no answer."""
+    print(text, file=sys.stderr if aside else sys.stdout, flush=True)
+
+
 def names(text: str) -> list[str]:
     """``"a,b"`` as a list, for options that take several channels."""
     return [part.strip() for part in text.split(",") if part.strip()]

@@ -171,7 +171,7 @@ def look(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, all
 def _images(source: Path, settings: SensorFile, pad: Pad, unloaded: str | None, allow: tuple[str, ...]) -> MarkerSource:
     coming = frames(source)
     chosen, rest = _unloaded(each(coming), source.name, settings, unloaded, frames)
-    eye = _first_eye(settings, pad, chosen.frames, allow)
+    eye = first_eye(settings, pad, chosen.frames, allow)
     flags = (*coming.flags, *chosen.flags)
     notes = _moved(eye, chosen.frames) if chosen.inside > 1 and unloaded is None else []
     return _seen(eye, rest, eye.read, settings, chosen, coming.count, flags, notes)
@@ -189,7 +189,7 @@ def _eye(settings: SensorFile, pad: Pad, reference: Any, still: list[Any], allow
     return eye
 
 
-def _first_eye(settings: SensorFile, pad: Pad, still: list[Any], allow: tuple[str, ...]) -> Eye:
+def first_eye(settings: SensorFile, pad: Pad, still: list[Any], allow: tuple[str, ...]) -> Eye:
     """The eye whose reference is the first of some unloaded frames that shows its markers."""
     for reference in still[:-1]:
         try:

@@ -7,6 +7,8 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptio
 from loadid._commands import Bar, Command, UsageError, choice, emit, names, positive, require_outputs, seed
 from structures._flags import known_codes
 
+from . import live
+
 DEMO = "demo"
 SENSORS = ("multilayer", "gelslim")
 EXAMPLES = """\
@@ -16,13 +18,18 @@ examples:
   the same from those files, as from your own:
     loadid tactile tactile-demo/frames --pad tactile-demo/pad.toml --depth tactile-demo/depth.npy \\
         --unloaded 6 -o map.h5 --plot map.png --report map.html --video map.mp4
+  a sensor that goes on running, with a page, a state that outlives a kill, and a recording; and that played again:
+    loadid tactile live --camera 0 --pad pad.toml --view 8000 --state state.h5 --record run.h5
+    loadid tactile live --replay run.h5 --speed 2 --view 8000
 
 INPUT is a folder of images, an NPY or NPZ stack (frames, rows, columns), a video, or marker motions: CSV with the
-header frame,id,x,y[,z], CSV of gsrobotics, or NPY (frames, markers, 2 or 3). A folder that is called demo is ./demo.
+header frame,id,x,y[,z], CSV of gsrobotics, or NPY (frames, markers, 2 or 3). A folder that is called demo
+or live is ./demo or ./live.
 In-plane markers alone hardly tell the pressure: give --depth, or read what flag N606 says.
 """
 REQUIRED = (("pad", "--pad PAD.toml"), ("output", "-o MAP.h5"))
 ONLY_DEMO = ("out", "seed")
+NOT_LIVE = ("output", "report", "plot", "video", "depth", "frames", "sensor", *ONLY_DEMO)
 
 
 def span(text: str) -> tuple[int, int]:
@@ -37,7 +44,9 @@ def span(text: str) -> tuple[int, int]:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
-    parser.add_argument("input", metavar="INPUT", help="images, stack, video or marker motions; or the word demo")
+    parser.add_argument(
+        "input", metavar="INPUT", help="images, stack, video or marker motions; or the word demo, or live"
+    )
     parser.add_argument("--pad", metavar="PAD.toml", help="pad, camera, markers, depth map and contact")
     parser.add_argument("-o", "--output", metavar="MAP.h5", help="result file to write")
     parser.add_argument("--report", metavar="PAGE.html", help="also write a report")
@@ -65,10 +74,24 @@ def _configure(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--out", metavar="DIR", help="demo: folder to write to (default: tactile-demo)")
     parser.add_argument("--seed", type=seed, metavar="N", help="demo: of the noise (default: 0)")
+    live.configure(parser)
 
 
 def _run(args: Namespace) -> int:
+    if args.input == live.WORD:
+        return _live(args)
+    given = [n for n in live.OPTIONS if getattr(args, n) is not None and getattr(args, n) is not False]
+    if given:
+        raise UsageError(f"{', '.join(_spelled(n) for n in given)} is for live only: loadid tactile live ...")
     return _demo(args) if args.input == DEMO else _map(args)
+
+
+def _live(args: Namespace) -> int:
+    """The sensor that goes on running; options of one map would be silently without effect."""
+    given = [name for name in (*_options(args), *ONLY_DEMO) if name in NOT_LIVE and getattr(args, name) is not None]
+    if given:
+        raise UsageError(f"live takes no {', '.join(_spelled(n) for n in given)}")
+    return live.run(args)
 
 
 def _demo(args: Namespace) -> int:

@@ -22,7 +22,7 @@ from structures._flags import Flag
 from structures.errors import InputError, as_array, pair, positive
 
 from .. import _guards as guards
-from .._arrays import CONTACT, SIDE, THICKNESS, Array, Index, UnusableFrame, settled_depth
+from .._arrays import CONTACT, SIDE, THICKNESS, Array, Index, UnusableFrame, settled_depth, shaped
 from .._results.forcemap import ForceMap
 from ..vision._frames import Frames, each
 from .observation import DepthMap, Depths, Markers, Wrench
@@ -229,6 +229,15 @@ class MarkedSensor:
     def constrained(self) -> bool:
         """Whether the map may not pull, or not leave its friction cone."""
         return self.contact.constrains
+
+    @property
+    def offset(self) -> Array:
+        """What is taken off the readings of every frame (m,) in m, markers first: the zero, as `zero` finds it."""
+        return self._offset.copy()
+
+    @offset.setter
+    def offset(self, values: ArrayLike) -> None:
+        self._offset = shaped(values, self._offset.shape, where="offset", what="no zero of this sensor")
 
     def estimate(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
         """Force map of one frame."""

@@ -294,7 +294,7 @@ class Eye:
         The unloaded pad; or the places of its dots (px).
     unloaded : iterable of images, optional
         Three or more further frames of the unloaded pad: their jitter is the noise.
-    noise : float, optional
+    noise : float or (x, y), optional
         Std of a place (px) instead of these.
     size : (a, b), optional
         Sides of the pad (m): markers outside are left out.
@@ -315,7 +315,7 @@ class Eye:
         reference: Any,
         *,
         unloaded: Iterable[Any] | None = None,
-        noise: float | None = None,
+        noise: float | tuple[float, float] | None = None,
         size: tuple[float, float] | None = None,
         allow: Sequence[str] = (),
         **tracking: Any,
@@ -369,7 +369,11 @@ class Eye:
             apparent = self.view.in_plane(now, height) - rest + slope * height[:, None]
         return apparent, [*self.flags, *motion.flags]
 
-    def _jitter(self, unloaded: Iterable[Any] | None, noise: float | None) -> Array:
+    def _jitter(self, unloaded: Iterable[Any] | None, noise: Any) -> Array:
+        if noise is not None and np.ndim(noise) == 1:
+            return np.array(
+                [positive("the noise", n, where="Eye", unit="px") for n in pair("noise", noise, where="Eye")]
+            )
         if noise is not None:
             return np.full(2, positive("the noise", noise, where="Eye", unit="px"))
         if unloaded is None:

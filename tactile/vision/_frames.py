@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import re
+import sys
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,6 +20,7 @@ from structures.errors import InputError, whole
 from .._arrays import UnusableFrame
 from .._guards import lossy, missing_frames
 from ._images import Grey, grey, installed, opencv
+from ._pipe import Pipe
 
 PIXELS = "uifb"
 SMALLEST = 8  # px along an axis, below which an array is no image
@@ -122,12 +125,12 @@ class Capture:
         """What a read without a frame means."""
         where, self.time = f"{self._name}: frame {self._read}", None
         if self.count is None and self._read == 1 and not self._capture.isOpened():
-            self._close()
+            self.close()
             return InputError("the capture is not open", where=self._name, hint="look at its index and its cable")
         if self.count is None and self._failed + 1 < GONE and self._capture.isOpened():
             self._failed += 1
             return UnusableFrame("the camera gave no frame", where=where, hint="look at its cable and the light")
-        self._close()
+        self.close()
         if self.count is None:
             return InputError(
                 "the camera gives no more frames", where=where, found=f"{self._delivered} frames, then {GONE} failures",
@@ -141,7 +144,8 @@ class Capture:
             hint="transfer it again; the frames before may be used",
         )  # fmt: skip
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Give no more frames; a capture that was opened here is released."""
         self._over = True
         if self._owned:
             self._capture.release()
@@ -162,8 +166,8 @@ def open_video(path: Path) -> Capture:
     return Capture(cv2, capture, str(path), owned=True)
 
 
-def open_camera(index: int) -> Capture:
-    """Frames of a camera by its number."""
+def open_camera(index: int | str) -> Capture:
+    """Frames of a camera by its number or device."""
     _require_opencv("a camera", f"camera {index}", "; or pass an iterable of images")
     cv2 = opencv()
     with _quiet(cv2):
@@ -217,6 +221,8 @@ class Frames:
         Frames given so far.
     time : float or None
         Stamp (s) of the last frame, where the source has one: of a video from its start, of a camera by its own clock.
+    origin : int, str or None
+        Number or device of a camera that was opened for these frames, by which it can be opened again.
     """
 
     def __init__(
@@ -227,11 +233,22 @@ class Frames:
         self._size: tuple[int, ...] | None = None
         self._unusable = 0
         self.count, self.flags, self.delivered = count, tuple(flags), 0
+        self.origin: int | str | None = None
 
     @property
     def time(self) -> float | None:
         """Stamp (s) of the last frame, where the source has one."""
         return self._images.time if isinstance(self._images, Capture) else None
+
+    @property
+    def camera(self) -> bool:
+        """Whether the source does not wait to be read: a camera, no file."""
+        return isinstance(self._images, Capture) and self.count is None
+
+    def close(self) -> None:
+        """Release a camera or video that was opened for these frames."""
+        if isinstance(self._images, Capture):
+            self._images.close()
 
     def __iter__(self) -> Iterator[Grey]:
         return self
@@ -286,8 +303,9 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
     source : path, array, number of a camera, cv2.VideoCapture or iterable
         Folder of images (PNG, JPEG, BMP, TIFF, PGM), taken in the natural order of their names; one image; NPY or NPZ
         file with an array (T, H, W), (T, H, W, 3) or one image; video file (needs OpenCV); array of these shapes; a
-        camera by its number, 0 the first, or a capture that is open, which stays yours to release (need OpenCV); any
-        iterable of images.
+        camera by its number, 0 the first, or by its device (``"/dev/video0"``), or a capture that is open, which stays
+        yours to release (need OpenCV); ``"-"`` or a binary file for images that come through a pipe, one after another
+        (PGM, PPM, PNG, JPEG, NPY); any iterable of images.
     key : str, optional
         Array of an NPZ file; needed where several could be frames.
 
@@ -297,6 +315,8 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
         Nothing there, not readable, no images; later, while iterating: a frame that cannot be read, of another size,
         or a video that ends early. The message names the frame.
     """
+    if source == "-" if isinstance(source, str) else isinstance(source, io.BufferedIOBase | io.RawIOBase):
+        return Frames(Pipe(sys.stdin.buffer if source == "-" else source), name="pipe")
     if isinstance(source, str | Path):
         return _from_path(Path(source), key)
     if isinstance(source, np.ndarray):
@@ -304,7 +324,7 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
     if isinstance(source, Frames):
         return source
     if whole(source) is not None:
-        return _from_capture(open_camera(int(source)), f"camera {source}")
+        return _from_camera(int(source))
     if type(source).__module__.partition(".")[0] == "cv2":
         return _from_capture(Capture(opencv(), source, "capture", owned=False), "capture")
     if not isinstance(source, Iterable):
@@ -317,6 +337,8 @@ def frames(source: Any, *, key: str | None = None) -> Frames:
 def _from_path(path: Path, key: str | None) -> Frames:
     if path.is_dir():
         return _from_folder(path)
+    if path.is_char_device():
+        return _from_camera(str(path))
     if not path.is_file():
         raise InputError("there is no such file or folder", where=str(path))
     suffix = path.suffix.lower()
@@ -330,6 +352,12 @@ def _from_path(path: Path, key: str | None) -> Frames:
         "no frames in a file of this kind", where=str(path), found=suffix or "no suffix",
         expected=", ".join((".npy", ".npz", *IMAGES, *VIDEOS)),
     )  # fmt: skip
+
+
+def _from_camera(which: int | str) -> Frames:
+    found = _from_capture(open_camera(which), f"camera {which}")
+    found.origin = which
+    return found
 
 
 def _from_capture(capture: Capture, name: str) -> Frames:

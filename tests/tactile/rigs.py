@@ -68,3 +68,16 @@ def depth(seed: int = 0, noise: float = 1e-5, pixel: float = 2e-4) -> DepthMap:
     """Depth map of the press."""
     z = lifted(pixel)
     return DepthMap(z + noise * np.random.default_rng(seed).standard_normal(z.shape), pixel, noise)
+
+
+@cache
+def moved_by(press: Press) -> NDArray[np.float64]:
+    """Motion of the markers (N, 3) under a press, on the pad's own mesh."""
+    here = pad()
+    U = here.displacements(here.surface.forces(press.traction(here.nodes2d)))
+    return np.asarray(here.from_surface(markers()) @ U.ravel()).reshape(-1, 3)
+
+
+def fresh(axes: str = "XYZ", **settings: object) -> MultilayerPad:
+    """A sensor of one's own, whose zero may be moved."""
+    return MultilayerPad(pad(), Markers(markers(), NOISE, axes), choice=0.01, **settings)  # type: ignore[arg-type]

@@ -389,7 +389,8 @@ def test_the_demonstration_and_the_examples_of_the_help_work(
     monkeypatch.setattr(film, "DPI", 40)
     lines = EXAMPLES.replace("\\\n", " ").splitlines()
     commands = [shlex.split(line)[1:] for line in lines if line.strip().startswith("loadid tactile")]
-    assert len(commands) == 2
+    assert [words[1] for words in commands[2:]] == ["live", "live"]
+    assert len(commands) == 4
     assert main([*commands[0], "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["against_truth"]["resultant_error"] < 0.06
