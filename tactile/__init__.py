@@ -13,6 +13,7 @@ from typing import Any
 
 _PUBLIC = {
     "ContactLaw": "tactile._sensors.marked",
+    "ContactPrior": "tactile._sensors.prior",
     "Cylinder": "tactile._closed.contact",
     "DepthMap": "tactile._sensors.observation",
     "Extent": "tactile._sensors.marked",
@@ -23,6 +24,7 @@ _PUBLIC = {
     "GelSlim": "tactile._sensors.gelslim",
     "HalfSpace": "tactile._closed.layer",
     "Hertz": "tactile._closed.contact",
+    "ImageMotion": "tactile._sensors.image",
     "Interpolation": "tactile.vision._interpolation",
     "Layer": "tactile._closed.layer",
     "LayerGrid": "tactile._closed.gridded",

@@ -126,12 +126,14 @@ def best_of(user: User, sensor: MultilayerPad, presses: Sequence[Case]) -> list[
         others = [user.sensor(choice=float(lam)) for lam in np.geomspace(0.02, 0.5, 4)]
         maps = [[user.map(o, c).traction() for o in others] for c in presses]
         return [min(_error(m, t) for m in listed) for listed, t in zip(maps, known, strict=True)]
-    noise = np.array([s.noise for s in sensor.model.sensors])
-    U, s, Vt = np.linalg.svd(sensor.model.H / noise[:, None], full_matrices=False)
-    out = []
+    problem = sensor.problem
+    assert problem is not None
+    HC, _, made = problem._spread  # the same path, asked at many lambdas
+    w, V = np.linalg.eigh(made)
+    back, out = HC.T @ V, []
     for case, t in zip(presses, known, strict=True):
-        part = U.T @ (sensor.readings(*user.seen(case)) / noise)
-        maps = [((s / (s**2 + (lam * s[0]) ** 2)) * part) @ Vt for lam in np.geomspace(1e-3, 1, 31)]
+        part = V.T @ (sensor.readings(*user.seen(case)) / problem.noise)
+        maps = [back @ (part / (w + lam**2 * w[-1])) for lam in np.geomspace(1e-3, 1, 31)]
         out.append(min(_error(m.reshape(-1, 3), t) for m in maps))
     return out
 

@@ -42,7 +42,7 @@ def turned(scale: float) -> DepthMap:
 
 
 def deep(**settings: Any) -> MultilayerPad:
-    return MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.01, **settings)
+    return MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.01, **settings, penalty="identity")
 
 
 def eye(scale: float = 1.0, **settings: Any) -> Eye:

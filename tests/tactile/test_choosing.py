@@ -16,7 +16,7 @@ from .rigs import NOISE, markers, motion, nodal, pad
 
 
 def sensor(choice: str | None = None, noise: float = NOISE) -> MultilayerPad:
-    return MultilayerPad(pad(), Markers(markers(), noise, "XYZ"), choice=choice)
+    return MultilayerPad(pad(), Markers(markers(), noise, "XYZ"), choice=choice, penalty="identity")
 
 
 def error(s: MultilayerPad, y: np.ndarray) -> float:
@@ -68,7 +68,7 @@ def test_the_default_is_as_good_as_the_better_rule(few: tuple[Pad, np.ndarray], 
     """Truth: the kernels of the layer, exact, and the stated noise."""
     here, m = few
     made = {
-        rule: MultilayerPad(here, Markers(m, np.array(noise), "XYZ"), choice=rule)
+        rule: MultilayerPad(here, Markers(m, np.array(noise), "XYZ"), choice=rule, penalty="identity")
         for rule in (None, "upre", "discrepancy")
     }
     rng, ratios = np.random.default_rng(5), []
@@ -93,7 +93,9 @@ def test_a_load_that_is_finer_than_the_mesh_is_not_smoothed_away() -> None:
     press = Press(at=(0.3e-3, -0.4e-3), radius=0.9e-3, shear=(0.25, 0.0))
     u = press.displacement(here.layer, m)
     y = u * (0.3e-3 / np.abs(u).max()) + NOISE * np.random.default_rng(1).standard_normal(u.shape)
-    made = {r: MultilayerPad(here, Markers(m, NOISE, "XYZ"), choice=r) for r in ("robust_gcv", None)}
+    made = {
+        r: MultilayerPad(here, Markers(m, NOISE, "XYZ"), choice=r, penalty="identity") for r in ("robust_gcv", None)
+    }
     assert made["robust_gcv"].calibrate([y]).lam > END
     assert made[None].calibrate([y]).lam < END
 

@@ -43,7 +43,9 @@ def unloaded() -> tuple[np.ndarray, ...]:
 def chained(watch: Eye, **settings: object) -> MultilayerPad:
     """A sensor whose map may lie anywhere but near the rim."""
     inner = np.all(np.abs(pad().nodes2d) < 7.6e-3, axis=1)
-    return MultilayerPad(pad(), eye=watch, choice=0.01, **settings, contact=ContactLaw(support=inner))  # type: ignore[arg-type]
+    return MultilayerPad(
+        pad(), eye=watch, choice=0.01, **settings, contact=ContactLaw(support=inner), penalty="identity"
+    )  # type: ignore[arg-type]
 
 
 def eye(**settings: object) -> Eye:

@@ -37,7 +37,9 @@ def known() -> tuple[tuple[np.ndarray, ...], np.ndarray]:
 
 
 def build(nu: float) -> MultilayerPad:
-    return MultilayerPad(body(nu, 147e3, (14, 12), 4), Markers(markers(), 1e-6, "XYZ"), choice=0.003)
+    return MultilayerPad(
+        body(nu, 147e3, (14, 12), 4), Markers(markers(), 1e-6, "XYZ"), choice=0.003, penalty="identity"
+    )
 
 
 def test_a_modulus_is_a_gain() -> None:

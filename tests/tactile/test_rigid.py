@@ -89,7 +89,7 @@ def test_a_slip_beside_a_press_is_said(kind: str) -> None:
 
 
 def test_a_lambda_that_is_chosen_on_the_frame_says_so_too() -> None:
-    s = MultilayerPad(pad(), Markers(markers(9, 8), NOISE, "XYZ"))
+    s = MultilayerPad(pad(), Markers(markers(9, 8), NOISE, "XYZ"), penalty="identity")
     y = noisy(slipped(markers(9, 8), (0.0, 30e-6)), 1)
     y[[5, 17]] = np.nan
     (flag,) = flags(s.estimate(y))
@@ -113,7 +113,7 @@ def test_pixels_are_those_of_the_camera() -> None:
     view = View.homography(np.array([[14e3, 0, 320], [0, 14e3, 240], [0, 0, 1.0]]), alpha=0.0, gamma=1.4)
     eye = Eye(view, view.to_pixels(markers()), noise=NOISE * 14e3)
     assert eye.pixel == pytest.approx(1 / 14e3)
-    s = MultilayerPad(pad(), eye=eye, choice=0.005)
+    s = MultilayerPad(pad(), eye=eye, choice=0.005, penalty="identity")
     (flag,) = flags(s.estimate(noisy(slipped(markers(), (1 / 14e3, 0.0)), 1)[:, :2]))
     assert "(1 px)" in flag.message
 

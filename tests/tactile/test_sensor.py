@@ -75,7 +75,7 @@ def test_lost_markers_cost_themselves_and_nothing_else() -> None:
 def test_lost_markers_where_lambda_is_chosen_on_the_frame() -> None:
     y = motion(1).copy()
     y[[40, 41, 97, 100]] = np.nan
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), penalty="identity")
     found = s.estimate(y)
     assert found.choice is not None
     keep = np.isfinite(y.ravel())
@@ -87,7 +87,7 @@ def test_lost_markers_where_lambda_is_chosen_on_the_frame() -> None:
 
 
 def test_calibration_that_is_refused_changes_nothing() -> None:
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.02)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.02, penalty="identity")
     with pytest.raises(InputError):
         s.calibrate([np.full((195, 3), np.nan)])
     assert s.inverse.lam == 0.02
@@ -137,7 +137,9 @@ def test_a_dot_taken_for_its_neighbour_is_left_out() -> None:
 
 
 def test_units_of_force_do_not_matter() -> None:
-    stiff = MultilayerPad(replace(pad(), E=147e9, material="any"), Markers(markers(), NOISE, "XYZ"), choice=0.01)
+    stiff = MultilayerPad(
+        replace(pad(), E=147e9, material="any"), Markers(markers(), NOISE, "XYZ"), choice=0.01, penalty="identity"
+    )
     soft = sensor().estimate(motion(1))
     assert relative(stiff.estimate(motion(1)).load, 1e6 * soft.load) < 1e-9
 
@@ -210,7 +212,9 @@ def test_what_is_not_touched_carries_nothing() -> None:
 
 
 def test_frames_start_warm_and_give_the_same() -> None:
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(friction=0.5))
+    s = MultilayerPad(
+        pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(friction=0.5), penalty="identity"
+    )
     cold = s.estimate(motion(1)).load
     s.estimate(1.3 * motion(2))
     assert relative(s.estimate(motion(1)).load, cold) < 1e-8
@@ -219,7 +223,9 @@ def test_frames_start_warm_and_give_the_same() -> None:
 def test_a_support_carries_all() -> None:
     here = pad()
     near = np.hypot(*(here.nodes2d - np.array(PRESS.at)).T) < 4e-3
-    s = MultilayerPad(here, Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(support=near))
+    s = MultilayerPad(
+        here, Markers(markers(), NOISE, "XYZ"), choice=0.01, contact=ContactLaw(support=near), penalty="identity"
+    )
     found = s.estimate(motion(1))
     assert np.all(found.forces()[~_touching(near)] == 0)
     assert relative(found.forces(), nodal()) < relative(sensor().estimate(motion(1)).forces(), nodal())
@@ -235,7 +241,7 @@ def _touching(nodes: np.ndarray) -> np.ndarray:
 
 
 def test_depth_is_measured_and_its_absence_is_said() -> None:
-    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.01)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.01, penalty="identity")
     y = motion(1)[:, :2]
     both, alone = s.estimate(y, depth()), s.estimate(y)
     assert both.provided["z"] == "measured"
@@ -278,7 +284,7 @@ def test_windows_lie_on_their_nodes_whatever_the_pixels(count: int) -> None:
 def test_missing_pixels_cost_themselves() -> None:
     full, rng = depth(), np.random.default_rng(0)
     y = motion(1)[:, :2]
-    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=full, choice=0.003)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE), depth=full, choice=0.003, penalty="identity")
     z = full.values.copy()
     z[rng.random(z.shape) < 0.03] = np.nan
     holed = s.estimate(y, DepthMap(z, full.pixel, full.noise))
@@ -293,9 +299,11 @@ def test_a_dot_that_is_broken_for_good_costs_that_dot() -> None:
     y = [motion(k).copy() for k in (1, 2)]
     for frame in y:
         frame[3] = np.nan
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), penalty="identity")
     lam = s.calibrate(y).lam
-    whole = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ")).calibrate([motion(1), motion(2)]).lam
+    whole = (
+        MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), penalty="identity").calibrate([motion(1), motion(2)]).lam
+    )
     assert lam == pytest.approx(whole, rel=0.1)
     assert s.estimate(y[0]).facts["lost"] == 3
 
@@ -321,7 +329,7 @@ def test_a_constrained_band_knows_the_force_sensor() -> None:
 
 
 def test_zero_takes_a_constant_off() -> None:
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), choice=0.01, penalty="identity")
     offset = 1e-5 * np.random.default_rng(3).standard_normal((len(markers()), 3))
     before = s.estimate(motion(1)).load
     s.zero([offset, offset])
@@ -332,15 +340,15 @@ def test_apparent_motion_is_told_apart_by_its_slopes() -> None:
     slope = np.tile([0.3, -0.2], (len(markers()), 1))
     u = motion()
     apparent = u[:, :2] + slope * u[:, 2:]
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, slope=slope), depth=depth(), choice=1e-3)
-    blind = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=1e-3)
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, slope=slope), depth=depth(), choice=1e-3, penalty="identity")
+    blind = MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=1e-3, penalty="identity")
     truth = nodal().sum(axis=0)
     assert np.linalg.norm(s.estimate(apparent, depth()).resultant().value - truth) < 0.03
     assert abs(blind.estimate(apparent, depth()).resultant().value[0] - truth[0]) > 0.05
 
 
 def test_lambda_is_chosen_over_presses_and_kept() -> None:
-    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"), penalty="identity")
     assert not s.frozen
     first = s.estimate(motion(1))
     assert first.choice is not None
@@ -371,7 +379,7 @@ def test_the_band_of_the_resultant_holds() -> None:
 BAD = {
     "two markers": lambda: Markers(np.zeros((2, 2)), NOISE),
     "NaN": lambda: Markers(np.full((5, 2), np.nan), NOISE),
-    "no noise": lambda: MultilayerPad(pad(), markers()),
+    "no noise": lambda: MultilayerPad(pad(), markers(), penalty="identity"),
     "noise of zero": lambda: Markers(markers(), 0.0),
     "axes": lambda: Markers(markers(), NOISE, "ZYX"),
     "slopes": lambda: Markers(markers(), NOISE, "XY", np.zeros((3, 2))),
@@ -380,14 +388,18 @@ BAD = {
     "all lost": lambda: sensor().estimate(np.full((195, 3), np.nan)),
     "no eye": lambda: sensor().estimate(np.zeros((48, 64), np.uint8)),
     "no depth": lambda: sensor().estimate(motion(), depth()),
-    "another depth": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), depth=depth(), choice=0.1).estimate(
-        motion(), depth(pixel=2.5e-4)
-    ),
+    "another depth": lambda: MultilayerPad(
+        pad(), Markers(markers(), NOISE), depth=depth(), choice=0.1, penalty="identity"
+    ).estimate(motion(), depth(pixel=2.5e-4)),
     "depth elsewhere": lambda: MultilayerPad(
-        pad(), Markers(markers(), NOISE), depth=DepthMap(np.zeros((9, 9)), 1e-4, 1e-5, (1.0, 1.0))
+        pad(), Markers(markers(), NOISE), depth=DepthMap(np.zeros((9, 9)), 1e-4, 1e-5, (1.0, 1.0)), penalty="identity"
     ),
-    "friction": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(friction=-1.0)),
-    "support": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(support=np.zeros(7, bool))),
+    "friction": lambda: MultilayerPad(
+        pad(), Markers(markers(), NOISE), contact=ContactLaw(friction=-1.0), penalty="identity"
+    ),
+    "support": lambda: MultilayerPad(
+        pad(), Markers(markers(), NOISE), contact=ContactLaw(support=np.zeros(7, bool)), penalty="identity"
+    ),
     "wrench": lambda: Wrench([1.0, 2.0]),
     "wrench std": lambda: Wrench([1.0, 2.0, 3.0], std=[1.0] * 6),
     "no frames": lambda: sensor().zero([]),
@@ -395,7 +407,9 @@ BAD = {
     "turned": lambda: sensor().estimate(motion().T),
     "too few left": lambda: sensor(1e-8).estimate(np.where((np.arange(195) % 90 == 0)[:, None], motion(1), np.nan)),
     "depth maps end": lambda: list(sensor().stream([motion()] * 2, [depth()])),
-    "negative node": lambda: MultilayerPad(pad(), Markers(markers(), NOISE), contact=ContactLaw(support=[-1, 3])),
+    "negative node": lambda: MultilayerPad(
+        pad(), Markers(markers(), NOISE), contact=ContactLaw(support=[-1, 3]), penalty="identity"
+    ),
     "nothing to calibrate": lambda: sensor().calibrate([]),
     "no point": lambda: sensor().estimate(motion()).torque((0.0, 0.0)),
     "depth map": lambda: DepthMap(np.zeros(5), 1e-4, 1e-5),
