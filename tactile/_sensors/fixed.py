@@ -187,12 +187,15 @@ class QuickMap:
             y = self._steadied(np.where(np.isfinite(y), whole, np.nan), image)
         wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
         told = None if self.contact.constrains else wrench
+        moved = np.zeros((len(inverse.std), 0))
+        if image is not None and self.image is not None:
+            moved = self.image.loads @ np.linalg.cholesky(image.covariance)
         if inverse.band is None:
             answer = inverse(y, told)
             load, std, covariance = answer.load, wide * answer.std, answer.wrench
         else:
             answer = inverse(y)
-            load, std, covariance = inverse.band.around(answer, inverse, wide, told)
+            load, std, covariance = inverse.band.around(answer, inverse, wide, told, moved)
         path = "frozen inverse"
         flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
         if wrench is None:
@@ -211,15 +214,9 @@ class QuickMap:
                 std = wide * found.std
                 covariance = found.wrench if wrench is not None or found.touched else covariance
             else:
-                _, std, covariance = inverse.band.around(replace(answer, load=load), inverse, wide, None)
+                _, std, covariance = inverse.band.around(replace(answer, load=load), inverse, wide, None, moved)
         if inverse.band is None or (self.contact.constrains and wrench is not None):
             covariance = wide**2 * covariance
-        if image is not None and self.image is not None and (wrench is None or not self.contact.constrains):
-            open_ = self.image.loads @ np.linalg.cholesky(image.covariance)
-            std = np.sqrt(std**2 + np.sum(open_**2, axis=1))
-            if wrench is None:
-                felt = inverse.resultant @ open_
-                covariance = covariance + felt @ felt.T
         lost = int(np.sum(~np.isfinite(y)))
         facts = ForceFacts(
             path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,

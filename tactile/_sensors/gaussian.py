@@ -22,6 +22,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from loadid._families.static import StaticInversion
@@ -61,8 +62,11 @@ class ModelError:
 
 @dataclass(frozen=True, eq=False)
 class ErrorRows:
-    """Of one error of the model: changes of the resultant (6, n) of a load, and variances (n,) of a prior unit."""
+    """Of one error of the model: its `change` (m, n) of whitened readings, that of the resultant, `rows` (6, n), of a
+    load, and variances (n,) of loads of a prior unit.
+    """
 
+    change: Array
     rows: Array
     spread: Array
 
@@ -71,12 +75,15 @@ class ErrorRows:
 class Band:
     """How far loads may be off that were found by one product: variances by noise, by what is unseen, by the model.
 
-    `noise` (n,) is the variance by noise, `unseen` (n,) that of a unit of prior variance, `found` (n,) the share of
-    such a unit that is found. `asked` (6, m) are resultants of whitened readings; `missed` (6, n) is what they lack of
-    a load, `errors` what errors of the model make of it. `near` gives, for the nodes of the surface, those around them.
+    `matrix` (n, m) and `H` (m, n) are of whitened readings. `noise` (n,) is the variance by noise, `unseen` (n,) that
+    of a unit of prior variance, `found` (n,) the share of such a unit that is found. `asked` (6, m) are resultants;
+    `missed` (6, n) is what they lack of a load, `errors` what errors of the model make of it. `near` gives, for the
+    nodes of the surface, those around them.
     """
 
     prior: PosedPrior
+    matrix: NDArray[np.floating[Any]]
+    H: Array
     noise: Array
     unseen: Array
     found: Array
@@ -120,23 +127,40 @@ class Band:
             out = out + np.outer(one, one)
         return np.asarray(out)
 
+    def reach(self, load: Array, wide: float) -> Array:
+        """Covariance (n, 6) of the errors of each load with those of the resultant; its sums are `covariance`."""
+        root = np.sqrt(self.sizes(load))[:, None]
+
+        def local(rows: Array) -> Array:
+            return np.asarray(root * self.prior.times(root.T * rows).T)
+
+        X = local(self.missed)
+        out = wide**2 * (self.matrix @ self.asked.T) + self.matrix @ (self.H @ X) - X
+        for error in self.errors:
+            one = np.outer(self.matrix @ (error.change @ load), error.rows @ load)
+            out = out + self.matrix @ (error.change @ local(error.rows)) + one
+        return np.asarray(out, float)
+
     def around(
-        self, answer: Answer, inverse: Inverse, wide: float, wrench: Wrench | None
+        self, answer: Answer, inverse: Inverse, wide: float, wrench: Wrench | None, moved: Array
     ) -> tuple[Array, Array, Array]:
         """Load (n,), its std and the covariance (6, 6) of its resultant; conditioned on a wrench, where there is one.
 
-        Of readings that are lost the posterior says how much wider it all is.
+        Of readings that are lost the posterior says how much wider it all is; `moved` (n, q) are loads that stand for
+        what is open of the motion of the image.
         """
-        load, std, covariance = answer.load, self.std(answer.load, wide), self.covariance(answer.load, wide)
+        load, R = answer.load, inverse.resultant
+        std = np.sqrt(self.std(load, wide) ** 2 + np.sum(moved**2, axis=1))
+        covariance = self.covariance(load, wide) + (R @ moved) @ (R @ moved).T
         if answer.std is not inverse.std:
             std = np.sqrt(std**2 + np.maximum(answer.std**2 - inverse.std**2, 0.0))
-            covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
+            covariance = covariance + answer.wrench - R @ inverse.reach
         if wrench is None:
             return load, std, covariance
-        # the errors of a load and of its resultant go together as those of the posterior, in shares of their size
-        size = std / np.maximum(answer.std, np.finfo(float).tiny)
-        ratio = np.sqrt(np.diag(covariance) / np.diag(answer.wrench))
-        found = fused(Answer(load, std, covariance, size[:, None] * answer.reach * ratio), inverse.resultant, wrench)
+        reach = self.reach(load, wide) + moved @ (R @ moved).T
+        if answer.std is not inverse.std:
+            reach = reach + answer.reach - inverse.reach
+        found = fused(Answer(load, std, covariance, reach), R, wrench)
         return found.load, found.std, found.wrench
 
 
@@ -241,8 +265,11 @@ class GaussianProblem:
         GK, C = matrix @ K, self.prior.variance
         both = np.einsum("nm,mn->n", matrix, HC)
         unseen = np.maximum(C - 2 * both + np.einsum("nm,nm->n", GK, matrix), 0.0)
+        kept = np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float)
         band = Band(
             prior=self.prior,
+            matrix=kept,
+            H=H,
             noise=np.einsum("nm,nm->n", matrix, matrix),
             unseen=unseen / C,
             found=np.einsum("nm,nm->n", GK, matrix) / C,
@@ -252,7 +279,7 @@ class GaussianProblem:
             near=self.near,
         )
         return Inverse(
-            matrix=np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float),
+            matrix=kept,
             influence=np.eye(len(K)) - left,
             noise=self.noise,
             std=np.sqrt(np.maximum(C - both, 0.0)) / x,
@@ -274,7 +301,7 @@ class GaussianProblem:
     def _error(self, error: ModelError, asked: Array, matrix: Array, C: Array) -> ErrorRows:
         change = error.change / self.noise[:, None]
         made = self.prior.times(change) @ change.T
-        return ErrorRows(asked @ change, np.einsum("nm,nm->n", matrix @ made, matrix) / C)
+        return ErrorRows(change, asked @ change, np.einsum("nm,nm->n", matrix @ made, matrix) / C)
 
 
 def around(places: Array, radius: float) -> sparse.csr_array:

@@ -115,6 +115,7 @@ TURNING = (2, 3)
 ROUNDS = 4
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
+FREE = 10.0  # times the std of the average over the pad: loads where there is a contact
 KEPT = 16  # regions
 
 
@@ -207,7 +208,7 @@ class ImageFit:
         N[lost] = 0.0
         left = N
         if len(nodes):
-            modes = problem.prior.modes(nodes, MODES) / x
+            modes = FREE / x * problem.prior.modes(nodes, MODES)
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
             A = problem.whitened[:, columns] @ modes
             A[lost] = 0.0

@@ -32,6 +32,7 @@ from .._arrays import Array, Index
 from .._guards import large_strain
 from .marked import ContactLaw
 from .observation import Wrench
+from .prior import ContactPrior
 
 if TYPE_CHECKING:
     from loadid._families.frozen import Calibration
@@ -265,7 +266,7 @@ class PadModel(MatrixModel):
 
 def cut(penalty: Any, basis: Any, kept: Index) -> Any:
     """A penalty on the loads that may act."""
-    if penalty is None or (isinstance(penalty, str) and penalty == "identity"):
+    if penalty is None or isinstance(penalty, ContactPrior) or (isinstance(penalty, str) and penalty == "identity"):
         return penalty
     if basis is None and isinstance(penalty, str):
         raise InputError(
