@@ -429,6 +429,23 @@ def cut_off(level: float, share: float) -> Flag | None:
     )  # fmt: skip
 
 
+SHEARED = 4.0  # stds of a shear
+
+
+def unpressed(force: Array, covariance: Array) -> Flag | None:
+    """W614: a shear (3,) N that is clear of its band where nothing presses, though a press would be seen."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    shear = float(np.hypot(*force[:2]))
+    clear = shear / max(float(np.hypot(*std[:2])), np.finfo(float).tiny)
+    if -force[2] > std[2] or std[2] > shear:
+        return None
+    return above(
+        "W614", "shear over its std, where nothing presses", clear, SHEARED,
+        f"a shear of {shear:.2g} N and no press ({-force[2]:.2g} +- {std[2]:.1g} N): no contact carries that",
+        "look for a gel that comes off, markers that were mistaken, or a camera that turned; zero() it unloaded",
+    )  # fmt: skip
+
+
 # -- a gel in use -----------------------------------------------------------------------------------------------------
 SAME_SHAPE = 0.98  # correlation from which two maps have the same shape
 GAIN = (0.9, 1.1)

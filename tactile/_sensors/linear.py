@@ -192,15 +192,30 @@ class LinearSensor(MarkedSensor):
             return self._mapped(self._quick_map(self._deep(y)), y, wrench, flags)
         return self._thorough(y, wrench, flags) if self.problem is None else self._chosen(y, wrench, flags)
 
-    def calibrate(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Calibration:
+    def calibrate(
+        self,
+        frames: Sequence[Any],
+        depths: Sequence[DepthMap] | None = None,
+        *,
+        wrenches: Sequence[Wrench] | None = None,
+    ) -> Calibration:
         """Choose one lambda over calibration presses, and freeze it.
 
         Where no frame is whole, what is seen in all of them decides: a dot that is broken for good costs that dot.
 
+        Parameters
+        ----------
+        frames, depths : sequence
+            As `estimate` takes them.
+        wrenches : sequence of Wrench, optional
+            What a force sensor or weights say of each press: of the rules the one is taken whose forces are nearest.
+            Under a contact prior.
+
         Raises
         ------
         InputError
-            Without frames, or if too few markers are seen in all of them.
+            Without frames, if too few markers are seen in all of them, wrenches that do not go with the frames, or
+            rules that lie decades apart where no wrench tells which is right.
         """
         listed = self._listed(frames, depths)
         for y in listed:
@@ -222,8 +237,29 @@ class LinearSensor(MarkedSensor):
             self.family.choice = None  # presses tell more than the number that was given
         family = self.family if whole else fewer(self.family, self._named(seen))
         found = [self._steady(y)[seen] for y in listed]
-        self.family.calibration = calibrated(family, found) if self.problem is None else together(family, found)
+        off = None if wrenches is None else self._off(seen, listed, wrenches, len(frames))
+        self.family.calibration = calibrated(family, found) if self.problem is None else together(family, found, off)
         return self.family.calibration
+
+    def _off(
+        self, seen: Mask, listed: Sequence[Array], wrenches: Sequence[Wrench], count: int
+    ) -> Callable[[float], float]:
+        """How far the forces of calibration presses are from measured ones at a lambda (N)."""
+        if self.problem is None or len(wrenches) != count or len(listed) != count:
+            raise InputError(
+                "the wrenches do not go with the frames", where="calibrate, wrenches", found=f"{len(wrenches)}",
+                expected=f"one for each of {count} whole frames, under a contact prior",
+            )  # fmt: skip
+        problem = self.problem.on(seen)
+        y = np.array([self._steady(v)[seen] for v in listed]) / problem.noise
+        known = np.array([w.force for w in wrenches])
+
+        def off(lam: float) -> float:
+            inverse = problem.inverse(lam, "")
+            found = y @ (inverse.resultant[:3] @ inverse.matrix).T
+            return float(np.linalg.norm(found - known))
+
+        return off
 
     def pressed(self, y: Array) -> Pressed:
         """Load of readings (m,) that only presses, within its friction cone if there is one, in the region of contact.
@@ -333,6 +369,7 @@ class LinearSensor(MarkedSensor):
             moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
         else:
             moved = guards.moved(found.image, None if self.eye is None else self.eye.pixel)
+            flags = [*flags, guards.unpressed(self.resultant[:3] @ found.load, found.wrench[:3, :3])]
         load, std = self._scattered(found.load), self._scattered(found.std)
         return ForceMap(
             load=load,

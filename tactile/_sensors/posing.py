@@ -9,7 +9,7 @@ discrepancy bounds it. Where both lie far below the discrepancy, they follow an 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -210,7 +210,7 @@ def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:
 
 
 THREE = ("upre", "gcv", "evidence")
-APART = 2.0  # decades between the outer ones of the three from which they say nothing together
+APART = 3.0  # decades between the outer ones of the three from which they say nothing together
 
 
 def middle(sweep: Sweep) -> RuleResult:
@@ -234,17 +234,36 @@ def chosen_on(family: StaticInversion, y: Array) -> Choice:
     return found if family.choice is not None else replace(found, rule=middle.__name__)
 
 
-def together(family: StaticInversion, records: Sequence[Array]) -> Calibration:
-    """One lambda for readings (m,) of several frames; where no rule is set, by the middle of three."""
+def together(
+    family: StaticInversion, records: Sequence[Array], off: Callable[[float], float] | None = None
+) -> Calibration:
+    """One lambda for readings (m,) of several frames; where no rule is set, by the middle of three.
+
+    Where forces were measured beside them `off` says how far the resultants at a lambda are from these: the rule is
+    taken that comes nearest.
+
+    Raises
+    ------
+    InputError
+        Rules that lie decades apart, and no measured force to tell which is right.
+    """
     if family.choice is not None:
         return family.calibrate(records)
-    return replace(_with_rule(family, middle).calibrate(list(records)), rule=middle.__name__)
-
-
-def apart(choices: Sequence[Choice]) -> float:
-    """Decades between the outer ones of the three rules, the most over some choices."""
-    found = [[r.lam for r in c.rules if r.rule in THREE and r.lam] for c in choices]
-    return max((float(np.log10(max(lams) / min(lams))) for lams in found if lams), default=0.0)
+    asked = _with_rule(family, middle)
+    found = asked.choose(asked.pose(readings(np.array(records), family.model, family.sensors)))
+    lams = {r.rule: float(r.lam) for r in found.rules if r.rule in THREE and r.lam}
+    lam, rule = found.lam, middle.__name__
+    if off is not None:
+        rule = min(lams, key=lambda name: off(lams[name]))
+        lam = lams[rule]
+    elif (decades := float(np.log10(max(lams.values()) / min(lams.values())))) > APART:
+        raise InputError(
+            "the rules for lambda lie decades apart on these presses", where="calibrate",
+            found=", ".join(f"{name} {value:.2g}" for name, value in lams.items()) + f": {decades:.1f} decades",
+            expected=f"UPRE, GCV and the evidence within {APART:g} decades",
+            hint="give the forces of a force sensor or of weights (wrenches=), press harder, or set choice= to a rule",
+        )  # fmt: skip
+    return replace(asked.calibrate(list(records)), lam=lam, rule=rule)
 
 
 def _with_rule(family: StaticInversion, rule: Any) -> StaticInversion:

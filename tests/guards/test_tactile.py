@@ -113,6 +113,8 @@ CASES = [
     Case("W611", lambda: slid(18e-6), lambda: slid(0.0), "moved together by .1[78].*fasten"),
     Case("W612", lambda: layered(0.47), layered, r"28 % of it is read as shear"),
     Case("W613", lambda: layered(at=10e-3), layered, "places at the edge of the window move by"),
+    Case("W614", lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.001]), 1e-4 * np.eye(3))),
+         lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.5]), 1e-4 * np.eye(3))), "a shear of 0.2 N and no press"),
     Case("W705", lambda: one(guards.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(guards.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(guards.other_calibration(OLD, NEW)), lambda: one(guards.other_calibration(NEW, OLD)),

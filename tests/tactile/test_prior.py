@@ -133,6 +133,25 @@ def test_calibration_is_kept_and_of_all_presses() -> None:
     assert found.rule == "middle"
 
 
+def test_a_force_sensor_tells_which_rule_is_right() -> None:
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
+    force = nodal().sum(axis=0)
+    told = s.calibrate([motion(1), motion(2)], wrenches=[Wrench(force), Wrench(force)])
+    assert told.rule in ("upre", "gcv", "evidence")
+    assert np.abs(s.estimate(motion(3)).resultant().value - force).max() < 0.03
+    with pytest.raises(InputError, match="wrenches"):
+        s.calibrate([motion(1), motion(2)], wrenches=[Wrench(force)])
+
+
+def test_rules_that_lie_decades_apart_are_refused() -> None:
+    """Noise of half a marker's pitch, stated a thousand times too small, and nothing that presses."""
+    s = MultilayerPad(pad(), Markers(markers(), 1e-9, "XYZ"))
+    y = [1e-4 * np.random.default_rng(k).standard_normal((len(markers()), 3)) for k in range(2)]
+    with pytest.raises(InputError, match="decades apart"):
+        s.calibrate(y)
+    assert not s.frozen
+
+
 def test_the_force_does_not_depend_on_its_unit_or_size() -> None:
     small, large = (made(None).estimate(f * motion()).resultant().value / f for f in (1.0, 3.0))
     assert np.allclose(small, large, rtol=0.02, atol=2e-3)
