@@ -389,12 +389,11 @@ def slipped(
 
 
 MOVED = 5.0  # mean square of a motion of the image over its variance
-CLEARLY = 2.0  # times the noise of one marker
 
 
 def moved(image: ImageShift, pixel: float | None) -> Flag | None:
     """W611: camera or gel moved as a whole, and that is taken out of the load."""
-    if not image.over > CLEARLY:
+    if not image.size > image.chance:
         return None
     (x, y), (dx, dy) = 1e6 * image.values[:2], 1e6 * image.std[:2]
     px = "" if pixel is None else f" ({float(np.hypot(x, y)) * 1e-6 / pixel:.2g} px)"

@@ -19,7 +19,7 @@ from structures.errors import InputError
 
 from .._arrays import Array
 from .._pad.tolerances import Tolerances
-from .gaussian import ModelError
+from .gaussian import MESH, ModelError
 
 if TYPE_CHECKING:
     from .._pad.pad import Pad
@@ -53,7 +53,7 @@ def _of_mesh(
         first = rows(half)
     except InputError:  # markers that lie beside a surface of larger cells
         return []
-    found = [ModelError("mesh", REFINED * (first - transfer), 1 / REFINED)]
+    found = [ModelError(MESH, REFINED * (first - transfer), 1 / REFINED)]
     for name in ("nu", "thickness"):
         std = float(getattr(tolerances, name))
         if std:

@@ -13,7 +13,7 @@ the noise are errors of the model, which are alike over two thicknesses: they co
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,9 +27,9 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
-from .gaussian import GaussianProblem
+from .gaussian import Band, GaussianProblem
 from .image import ImageFit, ImageShift
-from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, prepare
+from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, met, prepare
 from .marked import ContactLaw
 from .observation import Markers, Wrench
 
@@ -172,61 +172,81 @@ class QuickMap:
     def __post_init__(self) -> None:
         self.inverse: Inverse = self._prepared()
         problem = self.problem
-        steady = problem is None or problem.motion is None
-        self.image = None if steady or problem is None else ImageFit(problem, self.inverse, self.places, self.reach)
+        motion = None if problem is None else problem.motion
+        self.image = None
+        if problem is not None and motion is not None:
+            self.image = ImageFit(problem, motion, self.inverse, self.places, self.reach)
         self.consistency = Consistency(self.inverse, self.markers, self.axes)
         self.recovery = self.inverse.recovery(self._press())
 
     def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
         """Map of readings (m,), NaN where one is lost."""
-        inverse, whole = self.inverse, y
-        image = None if self.image is None else self.image(y)
-        y, strays, misfit = self.consistency.checked(self._steadied(y, image))
-        if strays and self.image is not None:
-            image = self.image(np.where(np.isfinite(y), whole, np.nan))
-            y = self._steadied(np.where(np.isfinite(y), whole, np.nan), image)
-        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
-        told = None if self.contact.constrains else wrench
-        moved = np.zeros((len(inverse.std), 0))
-        if image is not None and self.image is not None:
-            moved = self.image.loads @ np.linalg.cholesky(image.covariance)
-        if inverse.band is None:
-            answer = inverse(y, told)
-            load, std, covariance = answer.load, wide * answer.std, answer.wrench
-        else:
-            answer = inverse(y)
-            load, std, covariance = inverse.band.around(answer, inverse, wide, told, moved)
-        path = "frozen inverse"
-        flags: list[Flag | None] = [guards.strays(strays), guards.misfit(misfit)]
+        band = self.inverse.band
+        return self._plain(y, wrench) if band is None else self._under_prior(y, wrench, band)
+
+    def _plain(self, y: Array, wrench: Wrench | None) -> FrameAnswer:
+        """Under a penalty that knows of no contact."""
+        inverse = self.inverse
+        y, strays, misfit = self.consistency.checked(y)
+        answer = inverse(y, None if self.contact.constrains else wrench)
+        load, std, covariance = answer.load, answer.std, answer.wrench
+        flags: list[Flag | None] = []
         if wrench is None:
-            flags.append(guards.unseen(self.recovery))
-            if inverse.band is None:
-                hidden = inverse.hidden(load)
-                flags.append(guards.taken(hidden, inverse.resultant @ load, covariance))
-                covariance = covariance + np.outer(hidden, hidden)
-            covariance = covariance + self._blind(inverse.resultant @ load)
-        if self.contact.constrains:
-            found = self.pressed(y, wrench, answer)
-            load = found.load
+            hidden = inverse.hidden(load)
+            flags += [guards.unseen(self.recovery), guards.taken(hidden, inverse.resultant @ load, covariance)]
+            covariance = covariance + np.outer(hidden, hidden) + self._blind(inverse.resultant @ load)
+        found = self.pressed(y, wrench, answer) if self.contact.constrains else None
+        if found is not None:
+            load, std = found.load, found.std
+            covariance = found.wrench if wrench is not None or found.touched else covariance
+        wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
+        return self._answered(y, load, wide * std, wide**2 * covariance, (strays, misfit), found, flags)
+
+    def _under_prior(self, y: Array, wrench: Wrench | None, band: Band) -> FrameAnswer:
+        """Under a contact prior, which knows how far the model may be off, beside the motion of the whole image."""
+        inverse, (steady, shift) = self.inverse, self._steadied(y)
+        steady, strays, misfit = self.consistency.checked(steady)
+        if strays:
+            steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan))
+        wide, answer = max(1.0, misfit), inverse(steady)
+        found = self.pressed(steady, wrench, answer) if self.contact.constrains else None
+        load = answer.load if found is None else found.load
+        variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
+        if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is
+            variance = variance + np.maximum(answer.std**2 - inverse.std**2, 0.0)
+            covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
+        if shift is not None and self.image is not None:
+            moved = self.image.open(shift)
+            felt = inverse.resultant @ moved
+            variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
+        if wrench is not None:
+            force, covariance = met(inverse.resultant @ load, covariance, wrench)
+            load = load if found is not None else band.corrected(load, force)
+        flags = [guards.unseen(self.recovery) if wrench is None else None]
+        return self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift)
+
+    def _steadied(self, y: Array) -> tuple[Array, ImageShift | None]:
+        """Readings without what moved all of them, and what that was."""
+        if self.image is None:
+            return y, None
+        shift = self.image(y)
+        return self.image.steadied(y, shift), shift
+
+    def _answered(
+        self, y: Array, load: Array, std: Array, covariance: Array, checked: tuple[int, float],
+        found: Pressed | None, flags: list[Flag | None], image: ImageShift | None = None,
+    ) -> FrameAnswer:  # fmt: skip
+        (strays, misfit), inverse = checked, self.inverse
+        path, lost = "frozen inverse", int(np.sum(~np.isfinite(y)))
+        flags = [guards.strays(strays), guards.misfit(misfit), *flags]
+        if found is not None:
             path = f"active sets on the contact region, {found.steps} steps"
             flags.append(guards.stopped(found.converged, found.steps))
-            if inverse.band is None or wrench is not None:
-                std = wide * found.std
-                covariance = found.wrench if wrench is not None or found.touched else covariance
-            else:
-                _, std, covariance = inverse.band.around(replace(answer, load=load), inverse, wide, None, moved)
-        if inverse.band is None or (self.contact.constrains and wrench is not None):
-            covariance = wide**2 * covariance
-        lost = int(np.sum(~np.isfinite(y)))
         facts = ForceFacts(
             path=path, m=len(y) - lost, n=len(load), lost=lost, strays=strays, misfit=misfit, lam=inverse.lam,
             lambda_rule=inverse.rule,
         )  # fmt: skip
         return FrameAnswer(load, std, covariance, facts, flags, image)
-
-    def _steadied(self, y: Array, image: ImageShift | None) -> Array:
-        """Readings without what moved all of them."""
-        return y if image is None or self.image is None else y - self.image.motion.columns @ image.values
 
     def _prepared(self) -> Inverse:
         family = self.family
@@ -248,7 +268,7 @@ class QuickMap:
         if wrench is not None:
             carried(wrench, self.contact.friction)
         if answer is None:
-            y = self._steadied(y, None if self.image is None else self.image(y))
+            y = self._steadied(y)[0]
             answer = self.inverse(y)
         if self.inverse.band is not None and wrench is None:
             touched = self.inverse.band.loaded(answer.load)

@@ -18,11 +18,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from loadid._families.static import StaticInversion
@@ -32,8 +31,7 @@ from structures._channels import Channel
 from structures._models.arrays import MatrixModel
 
 from .._arrays import Array, Mask
-from .inversion import LARGE, Answer, Inverse, fused
-from .observation import Wrench
+from .inversion import LARGE, Inverse
 from .prior import PosedPrior
 
 if TYPE_CHECKING:
@@ -43,9 +41,11 @@ if TYPE_CHECKING:
 
 SEEN = 0.02  # least share of the variance of a component from which its size is told
 SHARE, CLEAR = 0.25, 5.0  # of the largest load, and of the noise, above which a node is loaded
+MESH = "mesh"
 ROUNDING = 1e-14  # over the trace: what keeps a Cholesky factor of the data real
 FEW = 12  # readings
-SIDEWAYS = 0.2  # shear over pressure that any contact may have, unseen
+FAINT = 1e-4  # of the variance of the largest load, below which one tells nothing of the resultant's band
+SIDEWAYS = 0.1  # shear over pressure that any contact may have, unseen
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +59,16 @@ class ModelError:
     change: Array
     weight: float = 1.0
 
+    @property
+    def of_mesh(self) -> bool:
+        """Whether it is another error for every load, as that of a mesh; not one for all, as that of a modulus."""
+        return self.name == MESH
+
 
 @dataclass(frozen=True, eq=False)
 class ErrorRows:
-    """Of one error of the model: its `change` (m, n) of whitened readings, that of the resultant, `rows` (6, n), of a
-    load, and variances (n,) of loads of a prior unit.
-    """
+    """Of one error of the model: changes of the resultant (6, n) of a load, and variances (n,) of a prior unit."""
 
-    change: Array
     rows: Array
     spread: Array
 
@@ -75,15 +77,14 @@ class ErrorRows:
 class Band:
     """How far loads may be off that were found by one product: variances by noise, by what is unseen, by the model.
 
-    `matrix` (n, m) and `H` (m, n) are of whitened readings. `noise` (n,) is the variance by noise, `unseen` (n,) that
+    `resultant` (6, n) is that of unit loads. `noise` (n,) is the variance by noise, `unseen` (n,) that
     of a unit of prior variance, `found` (n,) the share of such a unit that is found. `asked` (6, m) are resultants;
     `missed` (6, n) is what they lack of a load, `errors` what errors of the model make of it. `near` gives, for the
     nodes of the surface, those around them.
     """
 
     prior: PosedPrior
-    matrix: NDArray[np.floating[Any]]
-    H: Array
+    resultant: Array
     noise: Array
     unseen: Array
     found: Array
@@ -103,6 +104,10 @@ class Band:
         shear = np.maximum(shear, SIDEWAYS**2 * self.prior.share[2] / self.prior.share[0] * normal)
         return np.column_stack([shear, shear, normal]).ravel()
 
+    @cached_property
+    def _noisy(self) -> Array:
+        return np.asarray(self.asked @ self.asked.T)
+
     def loaded(self, load: Array) -> Mask:
         """Nodes (P,) that carry a load (n,): clear of noise, and no small share of the largest."""
         size = (load**2 / (np.maximum(self.found, SEEN) * self.prior.variance)).reshape(-1, 3).sum(axis=1)
@@ -117,51 +122,28 @@ class Band:
 
     def covariance(self, load: Array, wide: float) -> Array:
         """Covariance (6, 6) of the resultant."""
-        root = np.sqrt(self.sizes(load))
-        out = wide**2 * (self.asked @ self.asked.T)
+        sizes = self.sizes(load)
+        large = (sizes.reshape(-1, 3) > FAINT * sizes.max(initial=0.0)).any(axis=1)  # the others make no difference
+        nodes = np.flatnonzero(large)
+        columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        root, prior = np.sqrt(sizes[columns]), self.prior.among(nodes)
+        out = wide**2 * self._noisy
         for rows in (self.missed, *(e.rows for e in self.errors)):
-            local = rows * root
-            out = out + self.prior.times(local) @ local.T
+            local = rows[:, columns] * root
+            out = out + prior.times(local) @ local.T
         for error in self.errors:
             one = error.rows @ load
             out = out + np.outer(one, one)
         return np.asarray(out)
 
-    def reach(self, load: Array, wide: float) -> Array:
-        """Covariance (n, 6) of the errors of each load with those of the resultant; its sums are `covariance`."""
-        root = np.sqrt(self.sizes(load))[:, None]
-
-        def local(rows: Array) -> Array:
-            return np.asarray(root * self.prior.times(root.T * rows).T)
-
-        X = local(self.missed)
-        out = wide**2 * (self.matrix @ self.asked.T) + self.matrix @ (self.H @ X) - X
-        for error in self.errors:
-            one = np.outer(self.matrix @ (error.change @ load), error.rows @ load)
-            out = out + self.matrix @ (error.change @ local(error.rows)) + one
-        return np.asarray(out, float)
-
-    def around(
-        self, answer: Answer, inverse: Inverse, wide: float, wrench: Wrench | None, moved: Array
-    ) -> tuple[Array, Array, Array]:
-        """Load (n,), its std and the covariance (6, 6) of its resultant; conditioned on a wrench, where there is one.
-
-        Of readings that are lost the posterior says how much wider it all is; `moved` (n, q) are loads that stand for
-        what is open of the motion of the image.
-        """
-        load, R = answer.load, inverse.resultant
-        std = np.sqrt(self.std(load, wide) ** 2 + np.sum(moved**2, axis=1))
-        covariance = self.covariance(load, wide) + (R @ moved) @ (R @ moved).T
-        if answer.std is not inverse.std:
-            std = np.sqrt(std**2 + np.maximum(answer.std**2 - inverse.std**2, 0.0))
-            covariance = covariance + answer.wrench - R @ inverse.reach
-        if wrench is None:
-            return load, std, covariance
-        reach = self.reach(load, wide) + moved @ (R @ moved).T
-        if answer.std is not inverse.std:
-            reach = reach + answer.reach - inverse.reach
-        found = fused(Answer(load, std, covariance, reach), R, wrench)
-        return found.load, found.std, found.wrench
+    def corrected(self, load: Array, force: Array) -> Array:
+        """The load (n,) whose resultant is `force` (6,), changed where there is a load, as much as it is large."""
+        R, root = self.resultant, np.sqrt(self.sizes(load))
+        local = root[:, None] * self.prior.times(R * root).T
+        S = R @ local
+        size = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
+        step = np.linalg.lstsq(S / size[:, None] / size, (force - R @ load) / size, rcond=1e-12)[0]
+        return np.asarray(load + local @ (step / size))
 
 
 def _largest(near: sparse.csr_array, values: Array) -> Array:
@@ -205,7 +187,7 @@ class GaussianProblem:
         return GaussianProblem(
             self.H[kept], [self.sensors[i] for i in kept], self.noise[kept], self.prior,
             None if self.motion is None else self.motion.of(kept),
-            lambda: [replace(e, change=e.change[kept]) for e in self.errors()], self.resultant, self.near,
+            cache(lambda: [replace(e, change=e.change[kept]) for e in self.errors()]), self.resultant, self.near,
         )  # fmt: skip
 
     @cached_property
@@ -268,8 +250,7 @@ class GaussianProblem:
         kept = np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float)
         band = Band(
             prior=self.prior,
-            matrix=kept,
-            H=H,
+            resultant=R,
             noise=np.einsum("nm,nm->n", matrix, matrix),
             unseen=unseen / C,
             found=np.einsum("nm,nm->n", GK, matrix) / C,
@@ -301,7 +282,7 @@ class GaussianProblem:
     def _error(self, error: ModelError, asked: Array, matrix: Array, C: Array) -> ErrorRows:
         change = error.change / self.noise[:, None]
         made = self.prior.times(change) @ change.T
-        return ErrorRows(change, asked @ change, np.einsum("nm,nm->n", matrix @ made, matrix) / C)
+        return ErrorRows(asked @ change, np.einsum("nm,nm->n", matrix @ made, matrix) / C)
 
 
 def around(places: Array, radius: float) -> sparse.csr_array:

@@ -1,7 +1,7 @@
 """Motion of the whole image that is no load: told by the markers that no contact reaches, and taken off the readings.
 
-A uniform shift of all markers is fitted by a shear of the whole surface, and a common offset of normal motion by a
-pressure all over it: no residual shows either, and a prior of contacts anywhere does not forbid them. But loads act
+A uniform shift of all markers is fitted by a shear of the whole surface, and an offset of normal motion by a pressure
+all over it: no residual shows either, and a prior of contacts anywhere does not forbid them. But loads act
 where a contact is. It stands out of the map once what most markers share is taken off; loads about it, under the
 contact prior, and the motion of the image are then estimated together, and all else is noise. Which nodes are touched
 and how the image has moved follow from each other in two or three rounds.
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from structures.errors import positive
 
@@ -25,23 +26,24 @@ if TYPE_CHECKING:
 
 
 SHARE = 0.02  # of the longer side of the pattern: std of what camera and gel may have moved
-CREEP = 2e-5  # m, of normal motion that all markers or pixels share
 
 
 @dataclass(frozen=True)
 class ImageMotion:
     """Motion of the whole image that is no load: camera or gel have slipped, or the gel has crept.
 
-    Shift, turn and scale of the image and a common offset of the normal motion are unknowns beside the load, told by
-    the markers that no contact reaches; what they leave open is in the band.
+    Shift, turn and scale of the image, and an offset of the normal motion, are unknowns beside the load, told by the
+    markers that no contact reaches; what they leave open is in the band.
 
     Parameters
     ----------
     shift : float, optional
         Std of the shift along x and y (m); turn and scale move the rim of the pattern as far. 2 % of the longer side of
         the pattern, where not given.
-    offset : float
-        Std of the offset of normal motion (m): tracked, or of a depth map, whose brightness drifts.
+    offset : float, optional
+        Std of an offset of all normal motion (m): tracked, or of a depth map whose brightness drifts. Still where not
+        given: what a pad near to incompressible shows of a press far from it is like an offset, and a tenth of a
+        micrometre of one is some per cent of the force.
 
     Raises
     ------
@@ -50,12 +52,13 @@ class ImageMotion:
     """
 
     shift: float | None = None
-    offset: float = CREEP
+    offset: float | None = None
 
     def __post_init__(self) -> None:
         if self.shift is not None:
             object.__setattr__(self, "shift", positive("the shift", self.shift, where="ImageMotion", unit="m"))
-        object.__setattr__(self, "offset", positive("the offset", self.offset, where="ImageMotion", unit="m"))
+        if self.offset is not None:
+            object.__setattr__(self, "offset", positive("the offset", self.offset, where="ImageMotion", unit="m"))
 
     def over(self, markers: Markers, depth: Depths | None) -> PosedMotion:
         """The motion in the readings of markers, and of a depth map after them."""
@@ -68,15 +71,17 @@ class ImageMotion:
         one, zero = np.ones(len(places)), np.zeros(len(places))
         columns = [(one, zero, zero), (zero, one, zero), (-y, x, zero), (x, y, zero)]
         std = [shift, shift, turn, turn]
-        if markers.axes == "XYZ":
+        if markers.axes == "XYZ" and self.offset is not None:
             columns.append((zero, zero, one))
             std.append(self.offset)
         rows = np.array([np.column_stack(c)[:, : len(markers.axes)].ravel() for c in columns]).T
         if depth is not None:
             count = len(depth.points)
-            rows = np.pad(rows, ((0, count), (0, 1)))
-            rows[-count:, -1] = 1.0
-            std.append(self.offset)
+            rows = np.pad(rows, ((0, count), (0, 0)))
+            if self.offset is not None:
+                rows = np.pad(rows, ((0, 0), (0, 1)))
+                rows[-count:, -1] = 1.0
+                std.append(self.offset)
         return PosedMotion(rows, np.array(std), about)
 
 
@@ -113,24 +118,28 @@ class PosedMotion:
 FREEDOMS = 4  # of an image: shift along x and y, turn, stretch
 TURNING = (2, 3)
 ROUNDS = 4
+NOISE = 0.5  # of the noise of one marker
+ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
+SLACK = 0.25  # thicknesses by which a contact may wander before its region is taken anew
+GROWTH = 4.0  # how much larger than the loaded nodes a region may be before it is cut
 FREE = 10.0  # times the std of the average over the pad: loads where there is a contact
-KEPT = 16  # regions
 
 
 @dataclass(frozen=True, eq=False)
 class ImageShift:
     """How the image of a frame has moved as a whole: `values` (q,) as in `PosedMotion`, and their covariance.
 
-    `ratio` is the mean square of shift, turn and stretch over their covariance, `over` their rms at the markers over
-    the noise of one.
+    `ratio` is the mean square of shift, turn and stretch over their covariance, `size` their rms at the markers (m);
+    below `chance` (m) that is the noise of a marker, or a small share of its motion.
     """
 
     values: Array
     covariance: Array
     ratio: float
-    over: float
+    size: float
+    chance: float
 
     @property
     def std(self) -> Array:
@@ -140,11 +149,17 @@ class ImageShift:
 
 @dataclass(frozen=True, eq=False)
 class _Told:
-    """What tells the image's motion while loads act on one region: `rows` (q, m) of whitened readings, covariance."""
+    """What tells the image's motion while loads act on one region: `rows` (q, m) of whitened readings, covariance.
+
+    `errors` (errors, q, n) are what errors of the gel make of it. Found without the readings that are `lost`, for loads
+    at the nodes that are `covered` (P,).
+    """
 
     rows: Array
     covariance: Array
     errors: Array
+    lost: Index
+    covered: Mask
 
 
 @dataclass(eq=False)
@@ -152,82 +167,102 @@ class ImageFit:
     """Motion of the image beside the loads of a frozen inverse; `thickness` in m, `places` (P, 3) of the nodes."""
 
     problem: GaussianProblem
+    motion: PosedMotion
     inverse: Inverse
     places: Array
     thickness: float
-    _regions: dict[bytes, _Told] = field(default_factory=dict, init=False)
+    _last: _Told | None = field(default=None, init=False)  # one value, for threads
 
     def __post_init__(self) -> None:
-        motion = self.problem.motion
-        assert motion is not None
-        self.motion: PosedMotion = motion
-        self.moved = motion.columns / self.problem.noise[:, None]  # whitened readings per unit
+        self.moved = self.motion.columns / self.problem.noise[:, None]  # whitened readings per unit
         self.loads = np.asarray(self.inverse.matrix @ self.moved, float)  # what the map makes of a unit
 
     def __call__(self, y: Array) -> ImageShift:
         """Of readings (m,), NaN where lost."""
-        a, before = self.motion.typical(y), None
+        a, told = self.motion.typical(y), None
+        load, steady = self._of(y)
+        seen = np.where(np.isfinite(y), y, 0.0) / self.problem.noise
+        lost = np.flatnonzero(~np.isfinite(y))
         for _ in range(ROUNDS):
-            z, lost = self.inverse.filled(y - self.motion.columns @ a)
-            load = np.asarray(self.inverse.matrix @ z, float)
-            touched = self._touched(load)
-            if before is not None and np.array_equal(touched, before):
+            before, told = told, self._told(self._loaded(load - steady @ a), lost)
+            if told is before:
                 break
-            before = touched
-            told = self._told(touched, lost)
-            seen = np.where(np.isfinite(y), y, 0.0) / self.problem.noise
             a = told.rows @ seen
-        covariance = told.covariance
+        assert told is not None
+        covariance, load = told.covariance, load - steady @ a
         for error in told.errors:
             one = error @ load
             covariance = covariance + np.outer(one, one)
         return self._shift(a, covariance, y)
 
-    def _touched(self, load: Array) -> Mask:
-        """Nodes about those that carry a load (P,)."""
-        from scipy.spatial import cKDTree
+    def steadied(self, y: Array, found: ImageShift) -> Array:
+        """Readings (m,) without what moved all of them."""
+        return y - self.motion.columns @ found.values
 
+    def open(self, found: ImageShift) -> Array:
+        """Loads (n, q) whose outer products are what the image's motion leaves open of the map."""
+        return self.loads @ np.linalg.cholesky(found.covariance)
+
+    def _of(self, y: Array) -> tuple[Array, Array]:
+        """The load (n,) of readings as they are, and what the map makes (n, q) of a unit of each motion in them."""
+        z, lost = self.inverse.filled(y)
+        load = np.asarray(self.inverse.matrix @ z.astype(self.inverse.matrix.dtype, copy=False), float)
+        if not lost.size:
+            return load, self.loads
+        gone = np.where(np.isfinite(y), 0.0, np.nan)
+        columns = [self.inverse.filled(column + gone)[0] for column in self.motion.columns.T]
+        both = np.array(columns).reshape(-1, len(y)).T
+        return load, np.asarray(self.inverse.matrix @ both, float)
+
+    def _loaded(self, load: Array) -> Mask:
+        """Nodes that carry a load (P,)."""
         assert self.inverse.band is not None
-        loaded = self.inverse.band.loaded(load)
-        if not loaded.any():
-            return loaded
-        return np.asarray(cKDTree(self.places[loaded]).query(self.places)[0] <= NEAR * self.thickness)
+        return self.inverse.band.loaded(load)
 
-    def _told(self, touched: Mask, lost: Index) -> _Told:
-        key = touched.tobytes() + lost.tobytes()
-        found = self._regions.get(key)
-        if found is None:
-            if len(self._regions) > KEPT:
-                self._regions.clear()
-            found = self._regions[key] = self._fitted(np.flatnonzero(touched), lost)
+    def _told(self, loaded: Mask, lost: Index) -> _Told:
+        """What tells the motion while these nodes are loaded: as before, if that was found for them and little more."""
+        last = self._last
+        if last is not None and np.array_equal(last.lost, lost):
+            about = self._grown(loaded, SLACK)
+            if not np.any(loaded & ~last.covered) and last.covered.sum() <= GROWTH * about.sum():
+                return last
+        self._last = found = self._fitted(loaded, lost)
         return found
 
-    def _fitted(self, nodes: Index, lost: Index) -> _Told:
-        problem, x = self.problem, self.inverse.lam * self.inverse.scale
-        N = self.moved.copy()
-        N[lost] = 0.0
-        left = N
-        if len(nodes):
-            modes = FREE / x * problem.prior.modes(nodes, MODES)
+    def _grown(self, loaded: Mask, by: float) -> Mask:
+        from scipy.spatial import cKDTree
+
+        if not loaded.any():
+            return loaded
+        return np.asarray(cKDTree(self.places[loaded]).query(self.places)[0] <= by * self.thickness)
+
+    def _fitted(self, loaded: Mask, lost: Index) -> _Told:
+        covered = self._grown(loaded, SLACK)
+        nodes = np.flatnonzero(self._grown(covered, NEAR))
+        problem, std = self.problem, self.motion.std
+        unknown = [self.moved * std]
+        if nodes.size:
+            modes = FREE / (self.inverse.lam * self.inverse.scale) * problem.prior.modes(nodes, MODES)
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-            A = problem.whitened[:, columns] @ modes
-            A[lost] = 0.0
-            Q = np.linalg.qr(np.vstack([A, np.eye(A.shape[1])]))[0][: len(A)]
-            left = N - Q @ (Q.T @ N)
-        # in units of the prior: shifts, turns and offsets differ in size
-        std = self.motion.std
-        known = np.eye(len(std)) + (N * std).T @ (left * std)
-        covariance = np.linalg.inv((known + known.T) / 2) * np.outer(std, std)
-        rows = covariance @ left.T
-        errors = [rows @ (e.change / problem.noise[:, None]) for e in problem.errors()]
-        return _Told(rows, covariance, np.array(errors).reshape(-1, len(std), problem.H.shape[1]))
+            unknown.append(problem.whitened[:, columns] @ modes)
+            unknown += [error.change[:, columns] @ (error.weight * modes) / problem.noise[:, None]
+                        for error in problem.errors() if error.of_mesh]  # fmt: skip
+        A = np.hstack(unknown)
+        A[lost] = 0.0
+        Q, R = np.linalg.qr(np.vstack([A, np.eye(A.shape[1])]))
+        back = solve_triangular(R, np.eye(len(R))[:, : len(std)], trans="T").T * std[:, None]  # std R^-1
+        rows = back @ Q[: len(A)].T
+        gel = [(rows / problem.noise) @ e.change for e in problem.errors() if not e.of_mesh]
+        errors = np.array(gel).reshape(-1, len(std), problem.H.shape[1])
+        return _Told(rows, back @ back.T, errors, lost, covered)
 
     def _shift(self, a: Array, covariance: Array, y: Array) -> ImageShift:
-        rigid = slice(0, FREEDOMS)
-        size = np.sqrt(np.diag(covariance)[rigid])
-        told, together = a[rigid] / size, covariance[rigid, rigid] / np.outer(size, size)
+        motion, rigid = self.motion, slice(0, FREEDOMS)
+        std = np.sqrt(np.diag(covariance)[rigid])
+        told, together = a[rigid] / std, covariance[rigid, rigid] / np.outer(std, std)
         ratio = float(told @ np.linalg.lstsq(together, told, rcond=1e-10)[0]) / FREEDOMS
-        marked = np.any(self.motion.columns[:, rigid], axis=1) & np.isfinite(y)
-        field_ = self.motion.columns[marked, rigid] @ a[rigid]
-        over = float(np.sqrt(np.mean(field_**2) / np.mean(self.problem.noise[marked] ** 2)))
-        return ImageShift(a, covariance, ratio, over)
+        marked = np.any(motion.columns[:, rigid], axis=1) & np.isfinite(y)
+        size = float(np.sqrt(np.mean((motion.columns[marked, rigid] @ a[rigid]) ** 2)))
+        noise = float(np.sqrt(np.mean(self.problem.noise[marked] ** 2)))
+        chance = max(NOISE * noise, ERRING * float(np.abs(y[marked]).max(initial=0.0)))
+        return ImageShift(a, covariance, ratio, size, chance)

@@ -143,6 +143,14 @@ def fused(answer: Answer, resultant: Array, wrench: Wrench) -> Answer:
     return Answer(load, np.sqrt(variance), resultant @ reach, reach)
 
 
+def met(force: Array, covariance: Array, wrench: Wrench) -> tuple[Array, Array]:
+    """Resultant (6,) and its covariance, conditioned on what a force/torque sensor says."""
+    value, k = wrench.value, len(wrench.value)
+    S = covariance[:k, :k] if wrench.std is None else covariance[:k, :k] + np.diag(wrench.std**2)
+    gain = _gain(S, covariance[:, :k])
+    return force + gain @ (value - force[:k]), covariance - gain @ covariance[:k]
+
+
 def _gain(S: Array, P: Array) -> Array:
     """P S^-1, scaled so that forces and moments do not drown each other."""
     size = np.sqrt(np.diag(S))

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from ..vision._eye import Eye
 
 
-AROUND = 0.3  # thicknesses about a node within which a load is taken to be of one size
+AROUND = 0.2  # thicknesses about a node within which a load is taken to be of one size
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,6 +116,10 @@ class PosedPrior:
         """Rows (k, 3 P) times a root of the covariance, whose coefficients are white."""
         return self._each(rows, self._root, np.sqrt(self.share))
 
+    def among(self, nodes: Index) -> PosedPrior:
+        """The prior of some nodes (k,)."""
+        return self if len(nodes) == len(self.matrix) else PosedPrior(self.matrix[np.ix_(nodes, nodes)], self.share)
+
     def penalty(self, nodes: Index) -> Array:
         """L (3 k, 3 k) of the tractions at some nodes (k,), where all others carry none."""
         W = solve_triangular(np.linalg.cholesky(self.matrix[np.ix_(nodes, nodes)]), np.eye(len(nodes)), lower=True)
