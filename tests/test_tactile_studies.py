@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from case_studies import gelslim, ifem2, live_day, one_press
+from case_studies import foreign_gel, gelslim, ifem2, live_day, one_press
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +14,11 @@ def run():
 @pytest.fixture(scope="module")
 def press():
     return one_press.one_press()
+
+
+@pytest.fixture(scope="module")
+def foreign():
+    return foreign_gel.maps(foreign_gel.pad(), ("in the plane", "and depth", "and depth, no pull"))
 
 
 class TestSingleLayer:
@@ -169,3 +174,34 @@ class TestSeveralLayers:
         assert table[ridge, 20e-6].metrics.error < 0.8 * table[four, 20e-6].metrics.error
         assert abs(table[ridge, 2e-6].force_z) < 0.06
         assert np.all([row.metrics.kind == "distribution" for row in table.rows])
+
+
+class TestForeignGel:
+    """A gel of other finite elements than those of the sensor."""
+
+    def test_forces(self, foreign):
+        for row in foreign:
+            assert np.all(np.abs(row.away[:2]) < 0.02)
+            if row.sensor == "in the plane":
+                assert abs(row.away[2]) < row.band[2]
+            else:
+                assert abs(row.away[2]) < 0.1
+
+    def test_maps(self, foreign):
+        off = {name: [r.map for r in foreign if r.sensor == name] for name in ("and depth", "and depth, no pull")}
+        assert max(off["and depth"]) < 0.4
+        assert max(off["and depth, no pull"]) < 0.3
+
+    def test_a_pad_that_is_declared_wrong_is_found(self):
+        found = foreign_gel.in_situ()
+        at = np.array([np.log(found.pad.E / foreign_gel.E), found.pad.nu - foreign_gel.NU,
+                       np.log(found.pad.thickness / foreign_gel.THICKNESS)])  # fmt: skip
+        assert np.all(np.abs(at) < [0.05, 0.01, 0.03])
+        assert np.all(np.abs(at) < 2.5 * np.sqrt(np.diag(found.covariance)))
+        assert not found.flags
+        assert "told: E, nu, thickness" in foreign_gel.show_material(found)
+
+    def test_words_and_picture(self, foreign, tmp_path):
+        assert "ring" in foreign_gel.show(foreign)
+        foreign_gel.picture(foreign, tmp_path / "x.png")
+        assert (tmp_path / "x.png").stat().st_size > 20_000

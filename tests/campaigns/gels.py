@@ -1,6 +1,6 @@
 """Gels that no sensor modelled: motion of markers and depth maps of presses whose tractions are known.
 
-Three truths (`tests.campaigns.bodies`): a bonded pad with free edges ("fe"), an endless bonded layer ("layer"), and a
+Three truths (`case_studies.bodies`): a bonded pad with free edges ("fe"), an endless bonded layer ("layer"), and a
 pad that bears a spherical cap, which a user takes for flat ("dome").
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .bodies import Array, Bricks, Patch, Surface, surfaces
+from case_studies.bodies import Array, Bricks, Patch, Surface, surfaces
 
 E = 147e3
 GELS = ((20e-3, 16e-3, 3e-3), (24e-3, 24e-3, 3e-3))  # sides and thickness (m)

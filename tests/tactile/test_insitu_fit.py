@@ -1,4 +1,4 @@
-"""E, nu and thickness from presses of known force, on gels of other finite elements (`tests.campaigns.bodies`)."""
+"""E, nu and thickness from presses of known force, on gels of other finite elements (`case_studies.bodies`)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from case_studies.bodies import Patch, surfaces
 from structures.errors import InputError
 from tactile import DepthMap, Markers, MultilayerPad, Pad, Tolerances, material
-from tests.campaigns.bodies import Patch, surfaces
 
 SIZE, THICKNESS, E, NU, NOISE = (14e-3, 12e-3), 3e-3, 120e3, 0.45, 3e-6
 DECLARED = {"E": 147e3, "nu": 0.43, "thickness": 3.15e-3}
