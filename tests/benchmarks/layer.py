@@ -73,15 +73,17 @@ def large(count: int = 316) -> None:
         force = found.resultant()
         print(f"  {share:4.0%}  LayerSensor         {spent:.3f} s  {judged(found.traction(), truth)}  "
               f"Fx {force.value[0]:.4f} +- {force.std[0]:.4f}  {found.choice.rule}")  # fmt: skip
+        ridge = LayerSensor(GEL, Markers(points, sigma), penalty="identity").estimate(y)
+        print(f"        its ridge, |t|^2             {judged(ridge.traction(), truth)}")
         for name, ground in (("half-space", GEL.half_space), ("layer", GEL)):
 
-            def one(y: np.ndarray = y, lam: float = found.choice.lam, ground: Any = ground) -> np.ndarray:
+            def one(y: np.ndarray = y, lam: float = ridge.choice.lam, ground: Any = ground) -> np.ndarray:
                 return by_hand(y.reshape(count, count, 2), SIDE / (count - 1), lam, ground)
 
             spent, t = seconds(one, 2)
             area = (SIDE / (count - 1)) ** 2
             print(f"        by hand, {name:10s} {spent:.3f} s  {judged(t, truth[:, :2])}  "
-                  f"Fx {t[..., 0].sum() * area:.4f}   (no std, lambda of the row above)")  # fmt: skip
+                  f"Fx {t[..., 0].sum() * area:.4f}   (no std, lambda of that ridge)")  # fmt: skip
 
 
 def small() -> None:
