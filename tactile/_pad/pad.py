@@ -392,6 +392,11 @@ class Pad(Loaded):
         fix("flags", self._found(body))
 
     def _meshed(self, material: Material) -> Body:
+        if self.rim != "free" or self.curvature is not None:
+            raise InputError(
+                "a mesh has its own shape and supports", where="Pad.from_mesh", found="rim or curvature",
+                expected="neither", hint='base="NAME" of a node set holds the sides too',
+            )  # fmt: skip
         if self.pitch is None:
             body: Body = self.mesh.built(material, self.element, self.allow)
             return body

@@ -1,6 +1,7 @@
 """Tractions on a layer wave by wave: modes, regularisation path, bands; and by iteration where waves alone do not do.
 
-On a full grid the singular value decomposition of every wave (its directions of motion by those of traction) makes the
+The penalty is the norm of loads z, of which the tractions are ``root`` times the waves: white ones, or smooth ones. On
+a full grid the singular value decomposition of every wave (its directions of motion by those of traction) makes the
 problem diagonal. What rules and bands ask are sums over the modes of smooth functions of the singular value alone: each
 mode is shared out between the two nearest values of a fixed set, so that every sum is right to 1e-5.
 
@@ -51,12 +52,18 @@ class Spectrum:
         Std of the motion seen along X, Y (and Z), m.
     loads : int
         2 for tractions in the plane alone, 3 with normal ones.
+    smooth : float
+        Length (m) over which tractions are smooth: the penalty is ``|t|^2 + smooth^2 |grad t|^2``.
     """
 
-    def __init__(self, waves: Waves, noise: Array, loads: int) -> None:
+    def __init__(self, waves: Waves, noise: Array, loads: int, smooth: float = 0.0) -> None:
         self.waves, self.noise, self.loads = waves, noise, loads
+        kx, ky = waves.numbers
+        self.root = 1 / np.sqrt(1 + smooth**2 * (kx**2 + ky**2))
+        self.white = smooth == 0
         self.symbol = waves.symbol[: len(noise), :loads] / noise[:, None, None, None]
-        U, c, Vh = np.linalg.svd(np.moveaxis(self.symbol, (0, 1), (-2, -1)), full_matrices=False)
+        posed = np.moveaxis(self.symbol * self.root, (0, 1), (-2, -1))
+        U, c, Vh = np.linalg.svd(posed, full_matrices=False)
         self.c = np.ascontiguousarray(np.moveaxis(c, -1, 0))
         self.adjoint = np.ascontiguousarray(np.moveaxis(U.conj(), (-1, -2), (0, 1)))  # (modes, axes, ...)
         self.V = np.ascontiguousarray(np.moveaxis(Vh.conj(), (-1, -2), (0, 1)))  # (loads, modes, ...)
@@ -82,7 +89,7 @@ class Spectrum:
 
     def load(self, coefficients: Waved) -> Array:
         """Tractions (loads, ny, nx) of coefficients of the modes."""
-        return self.waves.field(_times(self.V, coefficients))
+        return self.waves.field(_times(self.V, coefficients) * self.root)
 
     def path(self, motions: Sequence[Array]) -> WavesPath:
         """Path of whitened motions (axes, ny, nx) of a full window, with one lambda."""
@@ -111,8 +118,7 @@ class Spectrum:
 
     def found(self, load: Array, alpha: float) -> Array:
         """What would be found of tractions (loads, <= ny, <= nx) without noise, if all of their motion were seen."""
-        waves = _times(np.swapaxes(self.V.conj(), 0, 1), self.waves.waves(load))
-        return self.load(waves * (self.c**2 / (self.c**2 + alpha**2)))
+        return self.load(_times(self.adjoint, self.waves.waves(self.motion(load))) * (self.c / (self.c**2 + alpha**2)))
 
     def residual(self, motion: Array, load: Array) -> Array:
         """What tractions (loads, ny, nx) leave of whitened motion of a full window."""
@@ -127,18 +133,20 @@ class Spectrum:
         """Std of the tractions (loads,) in units of the noise, where `density` data are seen for every node."""
         shares = self._shares / np.prod(self.waves.shape)
         prior = 1 / alpha**2 if alpha else 0.0
-        left = np.maximum(1 - shares.sum(axis=1), 0.0) if len(self.noise) < self.loads else 0.0
+        whole = float(np.sum(self.root**2 * self.waves.counts) / np.prod(self.waves.shape))
+        left = np.maximum(whole - shares.sum(axis=1), 0.0) if len(self.noise) < self.loads else 0.0
         return np.sqrt(shares @ (1 / (density * self.values**2 + alpha**2)) + left * prior)
 
     @cached_property
     def _shares(self) -> Array:
         """Share of each component of the tractions in the modes of each value (loads, values)."""
-        return np.array([self.binned(np.abs(row) ** 2) for row in self.V])
+        return np.array([self.binned(np.abs(row * self.root) ** 2) for row in self.V])
 
     def gram(self, rows: Sequence[Array]) -> Array:
         """Products of fields (loads, ny, nx) at each value, and beyond all modes: (values + 1, rows, rows)."""
-        modes = [_times(np.swapaxes(self.V.conj(), 0, 1), self.waves.waves(row)) for row in rows]
-        whole = np.array([[float(np.sum(a * b)) for b in rows] for a in rows])
+        told = [self.waves.waves(row) * self.root for row in rows]
+        modes = [_times(np.swapaxes(self.V.conj(), 0, 1), one) for one in told]
+        whole = np.array([[float(np.sum((a * b.conj()).real * self.waves.counts)) for b in told] for a in told])
         found = np.empty((len(self.values) + 1, len(rows), len(rows)))
         for i, a in enumerate(modes):
             for j in range(i + 1):
@@ -189,7 +197,7 @@ class Gathered:
     def filtered(self, data: Array, alpha: float) -> tuple[Array, Array]:
         """As `Spectrum.filtered`, on the nodes that may be loaded."""
         load = self.solve(self.back(data), alpha, SETTLED)
-        return load, -(alpha**2) * self.solve(load, alpha)
+        return load, -(alpha**2) * self.solve(self._penalised(load), alpha)
 
     def found(self, load: Array, alpha: float) -> Array:
         """What would be found of tractions (loads, <= y, <= x) without noise."""
@@ -240,12 +248,12 @@ class Gathered:
 
         def posed(x: Array) -> Array:
             t = x.reshape(shape)
-            return np.asarray((self.back(self.motion(t)) + alpha**2 * t).ravel())
+            return np.asarray((self.back(self.motion(t)) + alpha**2 * self._penalised(t)).ravel())
 
         def undone(x: Array) -> Array:
-            t = x.reshape(shape)
-            modes = _times(np.swapaxes(s.V.conj(), 0, 1), self._waves(t))
-            return np.asarray((t - self._field(_times(s.V, share * modes))).ravel()) / alpha**2
+            waves = self._waves(x.reshape(shape)) * s.root
+            modes = _times(np.swapaxes(s.V.conj(), 0, 1), waves)
+            return np.asarray(self._field((waves - _times(s.V, share * modes)) * s.root).ravel()) / alpha**2
 
         A, M = (LinearOperator((size, size), matvec=f, dtype=float) for f in (posed, undone))
         found, left = cg(A, load.ravel(), rtol=settled, maxiter=MOST, M=M)
@@ -276,18 +284,18 @@ class Gathered:
         """Singular values that bidiagonalisation from `data` finds, its parts in them, and the energy beyond."""
         size = float(np.linalg.norm(data))
         u = data / size
-        v = self.back(u)
+        v = self._smoothed(self.back(u))
         a = float(np.linalg.norm(v))
         v = v / a
         diagonal, below = [a], []
         for _ in range(STEPS):
-            u = self.motion(v) - diagonal[-1] * u
+            u = self.motion(self._smoothed(v)) - diagonal[-1] * u
             b = float(np.linalg.norm(u))
             below.append(b)
             if b <= 1e-10 * diagonal[0]:
                 break
             u = u / b
-            v = self.back(u) - b * v
+            v = self._smoothed(self.back(u)) - b * v
             a = float(np.linalg.norm(v))
             if a <= 1e-10 * diagonal[0]:
                 break
@@ -300,6 +308,14 @@ class Gathered:
         U, c, _ = np.linalg.svd(B)
         part = size * U[0]
         return c, part[: len(c)], float(np.sum(part[len(c) :] ** 2))
+
+    def _penalised(self, load: Array) -> Array:
+        """``L^T L`` times tractions on the nodes that may be loaded, none beyond them."""
+        return load if self.spectrum.white else self._field(self._waves(load) / self.spectrum.root**2)
+
+    def _smoothed(self, load: Array) -> Array:
+        """Loads made as smooth as the penalty wants tractions, and cut at the nodes that may be loaded."""
+        return load if self.spectrum.white else self._field(self._waves(load) * self.spectrum.root)
 
     def _embedded(self, load: Array) -> Array:
         """Tractions on all nodes that may be loaded, of those on the first of them."""

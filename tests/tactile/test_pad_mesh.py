@@ -28,6 +28,12 @@ def push(pad):
     return t * pad.surface.areas[:, None] if pad._quadratic else pad.surface.forces(t)
 
 
+def test_a_mesh_has_its_own_shape_and_supports():
+    for given in ({"rim": "bonded"}, {"curvature": 0.02}):
+        with pytest.raises(InputError, match="its own shape"):
+            Pad(**GEL, mesh=object(), **given)
+
+
 class TestOutline:
     def test_a_mask_that_leaves_everything_is_the_rectangle(self):
         whole, cut = Pad(**RECT), Pad(**RECT, outline=outline.mask(np.ones((8, 10), bool)))
