@@ -421,6 +421,59 @@ def test_the_script_of_the_page_is_javascript(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+STAGE = """
+const calls = {}, nodes = {};
+const context = new Proxy({}, { get: (t, name) => (...given) => {
+  calls[name] = (calls[name] || 0) + 1;
+  if (given.some(v => typeof v === "number" && !Number.isFinite(v))) throw new Error(name + ": " + given);
+}, set: () => true });
+const made = () => ({ width: 520, height: 420, children: [], textContent: "", className: "",
+  classes: new Set(), getContext: () => context, append(...c) { this.children.push(...c); },
+  prepend(...c) { this.children.unshift(...c); }, replaceChildren(...c) { this.children = c; },
+  get classList() { return { toggle: (n, on) => on ? this.classes.add(n) : this.classes.delete(n) }; } });
+const document = { getElementById: n => nodes[n] ||= made(), createElement: made };
+const fetch = async () => ({ json: async () => LAYOUT });
+let turn = null, source = null;
+const requestAnimationFrame = f => { turn = f; };
+class EventSource { constructor() { source = this; } }
+"""
+ASKED = """
+setTimeout(() => {
+  for (const picture of PICTURES) { source.onmessage({ data: JSON.stringify(picture) }); turn(); }
+  const on = lamps => [...lamps].filter(l => l.classes.has("on")).map(l => l.textContent);
+  console.log(JSON.stringify({ calls, state: nodes.state.textContent, lamps: on(nodes.lamps.children),
+    events: nodes.events.children.map(e => e.textContent),
+    numbers: nodes.numbers.children.map(r => r.children.map(c => c.textContent).join(": ")) }));
+}, 50);
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+def test_the_page_draws_what_it_is_sent(day: tuple[Path, list[LiveFrame]], tmp_path: Path) -> None:
+    """On a stage that has only what the script asks of a browser, and refuses to draw what is no number."""
+    from tactile.live._viewer import _Drawn
+
+    _, found = day
+    drawn = _Drawn(found[0].map)
+    shown = [found[0], found[6], found[-1]]
+    pictures = [{**message(frame), **drawn.picture(frame)} for frame in shown]
+    page = files("tactile.live").joinpath("page.html").read_text("utf-8")
+    script = page.partition("<script>")[2].partition("</script>")[0].replace('"use strict";', "")
+    given = f"const LAYOUT = {json.dumps(drawn.layout)}, PICTURES = {json.dumps(pictures)};"
+    (tmp_path / "stage.js").write_text(given + STAGE + script + ASKED)
+    done = subprocess.run(["node", str(tmp_path / "stage.js")], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["calls"]["fillRect"] == len(shown) * pad().points
+    assert told["calls"]["lineTo"] > 100
+    assert told["state"] == f"frame {found[-1].number}"
+    assert "touched" in told["lamps"]
+    assert [text.partition(":")[0] for text in told["events"]] == ["frame 8", "frame 7"]
+    force = found[-1].map.resultant()
+    assert told["numbers"][2].startswith(f"Fz: {force.value[2]:+.3f} ")
+    assert any(text.startswith("friction: 0.4") for text in told["numbers"])
+
+
 def test_constrained_maps_go_through(tmp_path: Path) -> None:
     here = fresh(contact=ContactLaw(no_pull=True))
     _, found = run([motion(k) for k in range(4)], sensor=here, quiet=None, record=tmp_path / "a.h5")
