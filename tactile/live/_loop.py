@@ -31,7 +31,7 @@ from ..vision._frames import Frames, each, frames
 from ..vision._images import grey
 from ._events import LiveEvent, Watch
 from ._frame import Latency, LiveFrame
-from ._recordings import Recording, recording
+from ._recordings import Recording
 from ._slip import SlipMap, SlipWatch
 from ._state import kept, state_of
 from ._zero import Rest
@@ -176,7 +176,7 @@ class Live:
         dropping = self._live if drop is None else bool(drop)
         rooms = {**ROOM, **(NEWEST if dropping else {})}
         self._queues = {name: Waiting[_Item](room, drop=dropping) for name, room in rooms.items()}
-        self._records: list[Recording] = [recording(p) for p in _listed(record)]
+        self._records: list[Recording] = [Recording(p) for p in _listed(record)]
         self._said: list[LiveEvent] = []
         self._lost: list[int] = []
         self._why, self._number, self._answered = "", self._start, 0

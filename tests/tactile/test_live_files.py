@@ -23,9 +23,9 @@ import pytest
 
 from structures.errors import InputError
 from tactile import ContactLaw, Eye, GelSlim, Markers, MultilayerPad
-from tactile.live import LineServer, Live, LiveFrame, State, Viewer, message, point_cloud, recording, replay, wrench
+from tactile.live import LineServer, Live, LiveFrame, Recording, State, Viewer, message, point_cloud, replay, wrench
 from tactile.live._messages import line
-from tactile.live._recordings import Hdf5Recording, parts
+from tactile.live._recordings import Hdf5Part, parts
 from tactile.live._state import state_of
 from tactile.vision._images import Scene
 
@@ -161,9 +161,9 @@ def test_what_is_no_recording_is_refused(day: tuple[Path, list[LiveFrame]], tmp_
     with pytest.raises(InputError, match="cannot be read"):
         list(replay(tmp_path / "bad.mcap", speed=None))
     with pytest.raises(InputError, match="no kind of recording"):
-        recording(tmp_path / "a.bag")
+        Recording(tmp_path / "a.bag")
     with pytest.raises(InputError, match="folder does not exist"):
-        recording(tmp_path / "none" / "a.h5")
+        Recording(tmp_path / "none" / "a.h5")
 
 
 def test_a_recording_that_was_cut_is_read_up_to_there(day: tuple[Path, list[LiveFrame]], tmp_path: Path) -> None:
@@ -174,6 +174,23 @@ def test_a_recording_that_was_cut_is_read_up_to_there(day: tuple[Path, list[Live
         again = list(replay(tmp_path / "run.mcap", speed=None))
         assert 0 < len(again) < len(found)
         assert again[-1].number == found[len(again) - 1].number
+
+
+@pytest.mark.parametrize("kind", [".h5", ".mcap"])
+def test_a_long_recording_has_parts(
+    day: tuple[Path, list[LiveFrame]], kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile.live._recordings.PART", 8)
+    _, found = day
+    for half in (found[:20], found[20:]):  # two runs
+        made = Recording(tmp_path / f"a{kind}")
+        for frame in half:
+            made.append(frame)
+        made.close()
+    Recording(tmp_path / f"a{kind}").close()  # a run without a frame leaves no part
+    names = [p.name for p in parts(tmp_path / f"a{kind}")]
+    assert names == [f"a{kind}", *(f"a-{k}{kind}" for k in range(2, 8))]
+    assert [f.number for f in replay(tmp_path / f"a{kind}", speed=None)] == [f.number for f in found]
 
 
 def test_images_are_kept_where_asked(tmp_path: Path) -> None:
@@ -192,7 +209,7 @@ def test_a_full_disk_ends_the_recording_alone(tmp_path: Path, monkeypatch: pytes
     def full(self: Any, frame: LiveFrame) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Hdf5Recording, "append", full)
+    monkeypatch.setattr(Hdf5Part, "append", full)
     _, found = run(resting(20), quiet=None, record=tmp_path / "a.h5")
     assert len(found) == 20
     assert [e.text for f in found for e in f.events if e.kind == "not recorded"][:1] in (
