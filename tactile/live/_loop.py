@@ -238,7 +238,7 @@ class Live:
         self._records = []
 
     def zero(self) -> None:
-        """Take the next quiet frames for the rest, whatever they show: the user says that nothing touches."""
+        """Take the next frame for the rest, whatever it shows: nothing touches. Quiet times make it better."""
         self._asked.set()
 
     def latency(self, share: float = 0.5) -> Latency:

@@ -85,8 +85,8 @@ class Rest:
         return self.score > TOUCH
 
     def anchored(self) -> None:
-        """What the sensor has as zero is its rest from now on."""
-        self.anchor = self.sensor.offset[: self._count]
+        """What the sensor has as zero, of one frame, is its rest from now on."""
+        self.anchor, self.frames = self.sensor.offset[: self._count], 1
         self._begin()
 
     def update(self, number: int, time: float, y: NDArray[np.float64]) -> ZeroStep | None:
