@@ -424,7 +424,7 @@ class Live:
             self.sensor.offset = offset
             self._rest.anchored()
             self._watch.settled()
-        step = self._rest.update(item.number, item.time, np.asarray(y))
+        step = self._rest.update(item.number, item.time, np.asarray(y), hidden="covered" in self._watch.on)
         if step is None:
             return
         self.counts["zeros"] += 1
