@@ -341,6 +341,8 @@ class Live:
         self._lost, self._why = [], ""
         found = replace(found, flags=collect([*found.flags, *item.flags, gap]))
         slipped = next((flag.message for flag in found.flags if flag.code == "LID-W611"), None)
+        if self._rest.touched and "camera moved" in self._watch.on:
+            slipped = slipped or "a load hides whether the camera is back"
         slip: SlipMap | None = None
         self._slip.sliding = False
         if self._rest.touched and np.isfinite(self._rest.score) and slipped is None:

@@ -202,6 +202,14 @@ def test_a_quiet_time_takes_what_a_camera_did_and_the_next_touch_is_as_before() 
     assert apart < 1.3 * np.linalg.norm(alone.load - like.load) / np.linalg.norm(like.load)
 
 
+def test_a_load_does_not_end_what_a_camera_did_and_teaches_no_friction() -> None:
+    moved = seen_by_a_camera_that_moved()
+    live, found = run([*resting(10), *resting(10, 1, moved), *(moved + u for u in sliding_frames(0.4, 40))], quiet=1.0)
+    assert said(found, "camera moved") == ["begins"]
+    assert "camera moved" in found[-1].on
+    assert live.friction is None
+
+
 def test_a_step_within_the_noise_is_not_said() -> None:
     live, found = run(resting(400), quiet=1.0)
     assert live.counts["zeros"] == 6
