@@ -31,7 +31,7 @@ from ..vision._frames import Frames, each, frames
 from ..vision._images import grey
 from ._events import LiveEvent, Watch
 from ._frame import Latency, LiveFrame
-from ._recordings import Recording, recording
+from ._recordings import Recording
 from ._slip import SlipMap, SlipWatch
 from ._state import kept, state_of
 from ._zero import Rest
@@ -176,7 +176,7 @@ class Live:
         dropping = self._live if drop is None else bool(drop)
         rooms = {**ROOM, **(NEWEST if dropping else {})}
         self._queues = {name: Waiting[_Item](room, drop=dropping) for name, room in rooms.items()}
-        self._records: list[Recording] = [recording(p) for p in _listed(record)]
+        self._records: list[Recording] = [Recording(p) for p in _listed(record)]
         self._said: list[LiveEvent] = []
         self._lost: list[int] = []
         self._why, self._number, self._answered = "", self._start, 0
@@ -238,7 +238,7 @@ class Live:
         self._records = []
 
     def zero(self) -> None:
-        """Take the next quiet frames for the rest, whatever they show: the user says that nothing touches."""
+        """Take the next frame for the rest, whatever it shows: nothing touches. Quiet times make it better."""
         self._asked.set()
 
     def latency(self, share: float = 0.5) -> Latency:
@@ -341,6 +341,8 @@ class Live:
         self._lost, self._why = [], ""
         found = replace(found, flags=collect([*found.flags, *item.flags, gap]))
         slipped = next((flag.message for flag in found.flags if flag.code == "LID-W611"), None)
+        if self._rest.touched and "camera moved" in self._watch.on:
+            slipped = slipped or "a load hides whether the camera is back"
         slip: SlipMap | None = None
         self._slip.sliding = False
         if self._rest.touched and np.isfinite(self._rest.score) and slipped is None:
@@ -424,7 +426,7 @@ class Live:
             self.sensor.offset = offset
             self._rest.anchored()
             self._watch.settled()
-        step = self._rest.update(item.number, item.time, np.asarray(y))
+        step = self._rest.update(item.number, item.time, np.asarray(y), hidden="covered" in self._watch.on)
         if step is None:
             return
         self.counts["zeros"] += 1

@@ -1,8 +1,8 @@
 """Recordings that a kill leaves readable, in HDF5 or MCAP, and played again at any speed.
 
 HDF5 is written as a single writer with many readers (SWMR): what was flushed can be read while it is written, and after
-a kill. MCAP is written in chunks; a file without its end is read up to there. Neither is ever written twice: the next
-run goes on in another part, ``run-2.h5`` beside ``run.h5``, and both are played as one.
+a kill. MCAP is written in chunks; a file without its end is read up to there. No file is gone on with: the next run,
+and one that is long, begins another part, ``run-2.h5`` beside ``run.h5``, and all are played as one.
 
 A frame is its number, time, motion of the markers, load and std (single precision), covariance of force and torque, and
 a text of JSON with its flags, facts and events; what all frames share stands at the beginning.
@@ -36,14 +36,15 @@ from ._slip import SlipWatch
 
 SUFFIXES = (".h5", ".mcap")
 FLUSH = 0.5  # s between two flushes: what a kill may cost
-CHUNK = 1 << 16  # bytes of text, and of the pieces of an MCAP file
+PART = 36000  # frames of a part, at most
+CHUNK, BLOCK, ROWS = 1 << 16, 1 << 19, 1024  # bytes of text and of MCAP, of a block of HDF5, and its rows, at most
 FORMAT = 1
 SINGLE = ("load", "std")
 SHARED = ("coordinates", "cells", "measures", "resultant", "about", "mass_data", "mass_indices", "mass_indptr")
 Tree = dict[str, Any]
 
 
-class Recording(Protocol):
+class Part(Protocol):
     """A file that frames are appended to."""
 
     path: Path
@@ -55,24 +56,53 @@ class Recording(Protocol):
         """End it."""
 
 
-def recording(path: str | os.PathLike[str]) -> Recording:
-    """A new part of the recording of this name: an HDF5 (.h5) or MCAP (.mcap) file.
+class Recording:
+    """A recording that frames are appended to, in parts: a new one for each run, and after 36000 frames.
+
+    So an index that grows with its file stays small, in the memory too.
+
+    Parameters
+    ----------
+    path : path
+        Of its first part: HDF5 (.h5) or MCAP (.mcap).
 
     Raises
     ------
     InputError
         Another suffix, a folder that is not there, a package that is not installed.
     """
-    place = Path(os.fspath(path))
-    if place.suffix.lower() not in SUFFIXES:
-        raise InputError("no kind of recording", where=str(place), found=place.suffix or "no suffix",
-                         expected=" or ".join(SUFFIXES))  # fmt: skip
-    if not place.resolve().parent.is_dir():
-        raise InputError("the folder does not exist", where=str(place), hint="make it first")
-    there = parts(place)
-    number = max((_number(p, place) for p in there), default=0) + 1
-    new = place if number == 1 else place.with_name(f"{place.stem}-{number}{place.suffix}")
-    return Hdf5Recording(new) if place.suffix.lower() == ".h5" else McapRecording(new)
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        place = Path(os.fspath(path))
+        if place.suffix.lower() not in SUFFIXES:
+            raise _other_kind(place)
+        if not place.resolve().parent.is_dir():
+            raise InputError("the folder does not exist", where=str(place), hint="make it first")
+        self._place = place
+        self._part, self._frames = self._next(), 0
+
+    @property
+    def path(self) -> Path:
+        """File of the part that is written."""
+        return self._part.path
+
+    def append(self, frame: LiveFrame) -> None:
+        """Add a frame; on the disk within half a second."""
+        if self._frames == PART:
+            self._part.close()
+            self._part, self._frames = self._next(), 0
+        self._part.append(frame)
+        self._frames += 1
+
+    def close(self) -> None:
+        """End it; without a frame it leaves no file."""
+        self._part.close()
+
+    def _next(self) -> Part:
+        place = self._place
+        number = max((_number(p, place) for p in parts(place)), default=0) + 1
+        new = place if number == 1 else place.with_name(f"{place.stem}-{number}{place.suffix}")
+        return Hdf5Part(new) if place.suffix.lower() == ".h5" else McapPart(new)
 
 
 def parts(path: Path) -> list[Path]:
@@ -89,7 +119,7 @@ def _number(part: Path, path: Path) -> int:
 
 
 # -- HDF5 -------------------------------------------------------------------------------------------------------------
-class Hdf5Recording:
+class Hdf5Part:
     """One HDF5 file: ``head`` is JSON in an attribute, ``frames/*`` have a row for each frame."""
 
     def __init__(self, path: Path) -> None:
@@ -117,7 +147,7 @@ class Hdf5Recording:
             self._flushed = clock.monotonic()
 
     def close(self) -> None:
-        """End it; a recording without a frame leaves no file."""
+        """End it."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -133,7 +163,8 @@ class Hdf5Recording:
         group = self._file.create_group("frames")
         for name, value in {**row, "end": 0}.items():
             shape, kind = ((), np.uint8) if name == "text" else (np.shape(value), np.asarray(value).dtype)
-            several = max(1, CHUNK // max(1, int(np.prod(shape)) * np.dtype(kind).itemsize))
+            row_bytes = max(1, int(np.prod(shape)) * np.dtype(kind).itemsize)
+            several = CHUNK if name == "text" else min(max(1, BLOCK // row_bytes), ROWS)
             self._data[name] = group.create_dataset(
                 name, (0, *shape), kind, maxshape=(None, *shape), chunks=(several, *shape)
             )
@@ -182,7 +213,7 @@ SCHEMAS: dict[str, Tree] = {
 }  # fmt: skip
 
 
-class McapRecording:
+class McapPart:
     """One MCAP file: JSON messages of the topics ``/tactile/sensor``, ``/tactile/force`` and ``/tactile/map``."""
 
     def __init__(self, path: Path) -> None:
@@ -337,6 +368,11 @@ def _frame(row: Tree, geometry: Tree, loads: list[Any]) -> LiveFrame:
                      events=events, on=tuple(text["on"]), image=row.get("image"))  # fmt: skip
 
 
+def _other_kind(place: Path) -> InputError:
+    return InputError("no kind of recording", where=str(place), found=place.suffix or "no suffix",
+                      expected=" or ".join(SUFFIXES))  # fmt: skip
+
+
 def _unreadable(path: Path, error: Any) -> InputError:
     return InputError("the recording cannot be read", where=str(path), found=str(error)[:200],
                       expected="a file that tactile.live has recorded")  # fmt: skip
@@ -362,8 +398,7 @@ def replay(path: str | os.PathLike[str], *, speed: float | None = 1.0) -> Iterat
     place = Path(os.fspath(path))
     pace = None if speed is None else positive("the speed", speed, where="replay")
     if place.suffix.lower() not in SUFFIXES:
-        raise InputError("no kind of recording", where=str(place), found=place.suffix or "no suffix",
-                         expected=" or ".join(SUFFIXES))  # fmt: skip
+        raise _other_kind(place)
     if not place.is_file():
         raise InputError("there is no such file", where=str(place), expected="a recording")
     return _played(parts(place), pace)

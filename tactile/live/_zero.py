@@ -25,7 +25,7 @@ TOUCH = 6.0  # stds of a marker and its neighbours together; of a thousand such 
 AROUND = 9  # a marker and its neighbours
 FAR = 3.0  # times the median distance, or the noise: markers that do not count in the fit of the camera's motion
 FITS = 2
-SEEN, HIDDEN = 0.5, 0.03  # share of the markers that tells of a touch; that may be lost beyond the usual when quiet
+SEEN = 0.5  # share of the markers that tells of a touch
 FEWEST = 8  # frames of a zero
 STEADY, LARGER = 1.5, 2.0  # over what noise explains: the change within a quiet time; a step that is told
 GAP = 1.0  # s without a frame, that end a quiet time
@@ -75,7 +75,6 @@ class Rest:
         self.anchor, self.frames = sensor.offset[: self._count], 1
         self.score = 0.0  # of the last frame, in stds
         self._last: float | None = None
-        self._lost, self._usual = 0.0, 1.0  # share of the markers that is lost now, and the least of all frames
         self._from: float | None = None  # time at which it became quiet
         self._quiet, self._halves = np.zeros(2, int), np.zeros((2, 2, self._count))  # frames, sums and counts of halves
 
@@ -85,21 +84,23 @@ class Rest:
         return self.score > TOUCH
 
     def anchored(self) -> None:
-        """What the sensor has as zero is its rest from now on."""
-        self.anchor = self.sensor.offset[: self._count]
+        """What the sensor has as zero, of one frame, is its rest from now on."""
+        self.anchor, self.frames = self.sensor.offset[: self._count], 1
         self._begin()
 
-    def update(self, number: int, time: float, y: NDArray[np.float64]) -> ZeroStep | None:
-        """Take the readings (m,) of the markers in a frame, no zero taken off; the step where a zero was taken."""
+    def update(self, number: int, time: float, y: NDArray[np.float64], *, hidden: bool = False) -> ZeroStep | None:
+        """Take the readings (m,) of the markers in a frame, no zero taken off; the step where a zero was taken.
+
+        Nothing is known of the pad where a part of it is `hidden`: no time with that is quiet.
+        """
         self.score = self._scored(y)
         pause = self._last is not None and not 0 <= time - self._last <= GAP
         self._last = time
         if self.seconds is None:
             return None
-        told = not self.touched and self._lost <= self._usual + HIDDEN
-        if pause or not told:
+        if pause or hidden or self.touched:
             self._begin()
-        if not told:
+        if hidden or self.touched:
             return None
         if self._from is None:
             self._from = time
@@ -140,9 +141,7 @@ class Rest:
         """Largest motion of a marker and its neighbours that no motion of the camera explains, in stds."""
         moved = (y - self.anchor).reshape(self._shape)
         seen = np.asarray(np.isfinite(moved).all(axis=1))
-        self._lost = 1 - float(seen.mean())
-        self._usual = min(self._usual, self._lost)
-        if self._lost > 1 - SEEN:
+        if seen.mean() < SEEN:
             return np.inf
         left = moved.copy()
         left[:, :2] -= self._seen_anew(moved[:, :2], seen)

@@ -362,8 +362,7 @@ class Eye:
         motion = self.tracker.step(frame)
         now, rest = motion.places[self.kept], self.markers
         apparent = self.view.to_pad(now) - rest
-        slope = self.slope
-        if depth is not None and slope is not None:
+        if depth is not None and (slope := self.slope) is not None:
             # what is not linear in the normal motion, by the measured one; its noise cancels to first order
             height = np.where(np.isfinite(at := depth.at(rest)), at, 0.0)
             apparent = self.view.in_plane(now, height) - rest + slope * height[:, None]

@@ -74,7 +74,7 @@ def shown(live: Live, frames: int, wall: float, cpu: float, word: str) -> None:
 
 def cost(elements: int) -> None:
     """CPU milliseconds of every part of a frame, at rest and touched: the least of five rounds of twelve."""
-    from tactile.live import message, point_cloud, recording
+    from tactile.live import Recording, message, point_cloud
     from tactile.live._events import Watch
     from tactile.live._frame import LiveFrame
     from tactile.live._messages import line
@@ -96,7 +96,7 @@ def cost(elements: int) -> None:
         frame = LiveFrame(1, 0.0, found, motion, True)
         drawn, number = _Drawn(found), itertools.count()
         with tempfile.TemporaryDirectory() as folder:
-            hdf5, mcap = (recording(Path(folder) / f"a{kind}") for kind in (".h5", ".mcap"))
+            hdf5, mcap = (Recording(Path(folder) / f"a{kind}") for kind in (".h5", ".mcap"))
             state = state_of(sensor, 1, {}, rest.anchor, slip.kept())
             parts = {
                 "dots found": lambda: detector(image),  # noqa: B023

@@ -217,6 +217,23 @@ def test_a_camera_gives_frames_with_its_stamps(
     assert list(each(found)) == []
 
 
+def test_a_camera_is_known_by_number_or_device(clip: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And can be released, where it was opened here; a video or a folder is none."""
+    for which in (0, "/dev/null"):
+        camera = Camera(list(colour(clip[:1])))
+        seen_by(monkeypatch, camera)
+        found = frames(which)
+        assert (found.origin, found.camera) == (which, True)
+        found.close()
+        assert camera.released
+    own = Camera(list(colour(clip[:1])))
+    found = frames(own)
+    assert (found.origin, found.camera) == (None, True)
+    found.close()
+    assert not own.released
+    assert (frames(clip).origin, frames(clip).camera) == (None, False)
+
+
 def test_a_camera_without_stamps_has_none(clip: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     seen_by(monkeypatch, Camera(list(colour(clip[:1])), stamped=False))
     found = frames(1)

@@ -202,6 +202,14 @@ def test_a_quiet_time_takes_what_a_camera_did_and_the_next_touch_is_as_before() 
     assert apart < 1.3 * np.linalg.norm(alone.load - like.load) / np.linalg.norm(like.load)
 
 
+def test_a_load_does_not_end_what_a_camera_did_and_teaches_no_friction() -> None:
+    moved = seen_by_a_camera_that_moved()
+    live, found = run([*resting(10), *resting(10, 1, moved), *(moved + u for u in sliding_frames(0.4, 40))], quiet=1.0)
+    assert said(found, "camera moved") == ["begins"]
+    assert "camera moved" in found[-1].on
+    assert live.friction is None
+
+
 def test_a_step_within_the_noise_is_not_said() -> None:
     live, found = run(resting(400), quiet=1.0)
     assert live.counts["zeros"] == 6
@@ -226,17 +234,16 @@ def test_a_load_is_never_zeroed(force: float) -> None:
 def test_a_quiet_time_needs_its_markers_and_no_pause() -> None:
     here = fresh()
     watch = Rest(here, 1.0)
-    watch.update(0, -9.0, resting(1)[0].ravel())
     for share, score in ((0.6, np.inf), (0.2, 6.0)):  # too few to tell; and a hand, under which anything may be
         part = resting(1)[0]
         part[: int(share * len(part))] = np.nan
-        assert all(watch.update(k, k / RATE, part.ravel()) is None for k in range(100))
+        assert all(watch.update(k, k / RATE, part.ravel(), hidden=True) is None for k in range(100))
         assert watch.score <= score
         assert watch.touched is (score == np.inf)
     assert np.all(here.offset == 0)
     worn = Rest(fresh(), 1.0)
     steps = [worn.update(k, k / RATE, part.ravel()) for k in range(100)]
-    assert [s.frames for s in steps if s is not None] == [61]  # dots that never were there are no hand
+    assert [s.frames for s in steps if s is not None] == [61]  # dots that are worn off are no hand
     for k, u in enumerate(resting(100)):
         assert watch.update(k, 2.0 * k, u.ravel()) is None  # two seconds between frames: who knows what was
     few = resting(100, 4)
@@ -249,6 +256,16 @@ def test_a_quiet_time_needs_its_markers_and_no_pause() -> None:
     assert step.expected == pytest.approx(NOISE * np.sqrt(1 / 61 + 1), rel=1e-6)
     assert np.all(here.offset.reshape(-1, 3)[3] == 0)
     assert here.offset.reshape(-1, 3)[4] == pytest.approx(np.mean([u[4] for u in few[:61]], axis=0), rel=1e-9)
+
+
+def test_no_zero_is_taken_under_a_hand() -> None:
+    covered = resting(200, 1)
+    for u in covered:
+        u[markers()[:, 0] > 2e-3] = np.nan
+    live, found = run([*resting(20), *covered], quiet=0.5)
+    assert said(found, "covered") == ["begins"]
+    assert live.counts["zeros"] == 0
+    assert not found[-1].touched
 
 
 def test_a_camera_that_still_moves_is_not_quiet() -> None:

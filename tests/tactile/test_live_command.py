@@ -99,10 +99,14 @@ def test_the_next_start_needs_no_unloaded_frames(
     assert "the state is of another pad" in capsys.readouterr().err
 
 
-def test_lambda_is_chosen_on_a_press_that_is_simulated(clip: Path, tmp_path: Path) -> None:
+def test_lambda_is_chosen_on_a_press_that_is_simulated(
+    clip: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "pad.toml").write_text(FILE, encoding="utf-8")
     words = ["tactile", "live", "--pad", str(tmp_path / "pad.toml"), "--camera", str(clip / "clip.npy")]
-    assert main([*words, "--state", str(tmp_path / "s.h5"), "--lines", "none"]) == 0
+    assert main([*words, "--state", str(tmp_path / "s.h5"), "--lines", "events"]) == 0
+    told = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
+    assert [(e["kind"], e["state"]) for e in told] == [("no image", "begins"), ("no image", "ends")]
     lam = State.read(tmp_path / "s.h5").lam
     assert lam is not None
     assert 1e-4 < lam < 0.5

@@ -23,9 +23,9 @@ import pytest
 
 from structures.errors import InputError
 from tactile import ContactLaw, Eye, GelSlim, Markers, MultilayerPad
-from tactile.live import LineServer, Live, LiveFrame, State, Viewer, message, point_cloud, recording, replay, wrench
+from tactile.live import LineServer, Live, LiveFrame, Recording, State, Viewer, message, point_cloud, replay, wrench
 from tactile.live._messages import line
-from tactile.live._recordings import Hdf5Recording, parts
+from tactile.live._recordings import Hdf5Part, parts
 from tactile.live._state import state_of
 from tactile.vision._images import Scene
 
@@ -161,9 +161,9 @@ def test_what_is_no_recording_is_refused(day: tuple[Path, list[LiveFrame]], tmp_
     with pytest.raises(InputError, match="cannot be read"):
         list(replay(tmp_path / "bad.mcap", speed=None))
     with pytest.raises(InputError, match="no kind of recording"):
-        recording(tmp_path / "a.bag")
+        Recording(tmp_path / "a.bag")
     with pytest.raises(InputError, match="folder does not exist"):
-        recording(tmp_path / "none" / "a.h5")
+        Recording(tmp_path / "none" / "a.h5")
 
 
 def test_a_recording_that_was_cut_is_read_up_to_there(day: tuple[Path, list[LiveFrame]], tmp_path: Path) -> None:
@@ -174,6 +174,23 @@ def test_a_recording_that_was_cut_is_read_up_to_there(day: tuple[Path, list[Live
         again = list(replay(tmp_path / "run.mcap", speed=None))
         assert 0 < len(again) < len(found)
         assert again[-1].number == found[len(again) - 1].number
+
+
+@pytest.mark.parametrize("kind", [".h5", ".mcap"])
+def test_a_long_recording_has_parts(
+    day: tuple[Path, list[LiveFrame]], kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tactile.live._recordings.PART", 8)
+    _, found = day
+    for half in (found[:20], found[20:]):  # two runs
+        made = Recording(tmp_path / f"a{kind}")
+        for frame in half:
+            made.append(frame)
+        made.close()
+    Recording(tmp_path / f"a{kind}").close()  # a run without a frame leaves no part
+    names = [p.name for p in parts(tmp_path / f"a{kind}")]
+    assert names == [f"a{kind}", *(f"a-{k}{kind}" for k in range(2, 8))]
+    assert [f.number for f in replay(tmp_path / f"a{kind}", speed=None)] == [f.number for f in found]
 
 
 def test_images_are_kept_where_asked(tmp_path: Path) -> None:
@@ -192,7 +209,7 @@ def test_a_full_disk_ends_the_recording_alone(tmp_path: Path, monkeypatch: pytes
     def full(self: Any, frame: LiveFrame) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Hdf5Recording, "append", full)
+    monkeypatch.setattr(Hdf5Part, "append", full)
     _, found = run(resting(20), quiet=None, record=tmp_path / "a.h5")
     assert len(found) == 20
     assert [e.text for f in found for e in f.events if e.kind == "not recorded"][:1] in (
@@ -419,6 +436,59 @@ def test_the_script_of_the_page_is_javascript(tmp_path: Path) -> None:
     (tmp_path / "page.js").write_text(page.partition("<script>")[2].partition("</script>")[0])
     done = subprocess.run(["node", "--check", str(tmp_path / "page.js")], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+STAGE = """
+const calls = {}, nodes = {};
+const context = new Proxy({}, { get: (t, name) => (...given) => {
+  calls[name] = (calls[name] || 0) + 1;
+  if (given.some(v => typeof v === "number" && !Number.isFinite(v))) throw new Error(name + ": " + given);
+}, set: () => true });
+const made = () => ({ width: 520, height: 420, children: [], textContent: "", className: "",
+  classes: new Set(), getContext: () => context, append(...c) { this.children.push(...c); },
+  prepend(...c) { this.children.unshift(...c); }, replaceChildren(...c) { this.children = c; },
+  get classList() { return { toggle: (n, on) => on ? this.classes.add(n) : this.classes.delete(n) }; } });
+const document = { getElementById: n => nodes[n] ||= made(), createElement: made };
+const fetch = async () => ({ json: async () => LAYOUT });
+let turn = null, source = null;
+const requestAnimationFrame = f => { turn = f; };
+class EventSource { constructor() { source = this; } }
+"""
+ASKED = """
+setTimeout(() => {
+  for (const picture of PICTURES) { source.onmessage({ data: JSON.stringify(picture) }); turn(); }
+  const on = lamps => [...lamps].filter(l => l.classes.has("on")).map(l => l.textContent);
+  console.log(JSON.stringify({ calls, state: nodes.state.textContent, lamps: on(nodes.lamps.children),
+    events: nodes.events.children.map(e => e.textContent),
+    numbers: nodes.numbers.children.map(r => r.children.map(c => c.textContent).join(": ")) }));
+}, 50);
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+def test_the_page_draws_what_it_is_sent(day: tuple[Path, list[LiveFrame]], tmp_path: Path) -> None:
+    """On a stage that has only what the script asks of a browser, and refuses to draw what is no number."""
+    from tactile.live._viewer import _Drawn
+
+    _, found = day
+    drawn = _Drawn(found[0].map)
+    shown = [found[0], found[6], found[-1]]
+    pictures = [{**message(frame), **drawn.picture(frame)} for frame in shown]
+    page = files("tactile.live").joinpath("page.html").read_text("utf-8")
+    script = page.partition("<script>")[2].partition("</script>")[0].replace('"use strict";', "")
+    given = f"const LAYOUT = {json.dumps(drawn.layout)}, PICTURES = {json.dumps(pictures)};"
+    (tmp_path / "stage.js").write_text(given + STAGE + script + ASKED)
+    done = subprocess.run(["node", str(tmp_path / "stage.js")], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["calls"]["fillRect"] == len(shown) * pad().points
+    assert told["calls"]["lineTo"] > 100
+    assert told["state"] == f"frame {found[-1].number}"
+    assert "touched" in told["lamps"]
+    assert [text.partition(":")[0] for text in told["events"]] == ["frame 8", "frame 7"]
+    force = found[-1].map.resultant()
+    assert told["numbers"][2].startswith(f"Fz: {force.value[2]:+.3f} ")
+    assert any(text.startswith("friction: 0.4") for text in told["numbers"])
 
 
 def test_constrained_maps_go_through(tmp_path: Path) -> None:
