@@ -141,9 +141,9 @@ def in_situ(
     Notes
     -----
     What the mesh is wrong by is estimated by the answers of a coarser one (extrapolated for an error of second order);
-    the presses say which share of it is there, 1 +- 0.5 before they are asked, so that the std is that of the gel and
-    not only of the noise. Not for pads whose mesh is from a file. E and thickness usually hang together: ``covariance``
-    holds it.
+    the presses say which share of it is there, 1 +- 0.5 before they are asked, and what the material answers to the
+    whole of it is added to the std, which so is that of the gel and not only of the noise. Not for pads whose mesh is
+    from a file. E and thickness usually hang together: ``covariance`` holds it.
     """
     F = _forces(forces, len(frames))
     kept = len(F) - (len(F) // 4 if held is None else int(held))
@@ -158,7 +158,8 @@ def in_situ(
     found, misfit = fit.run()
     # what is left of an error of the model is shared by neighbours: it counts as fewer data
     scale = float(np.sqrt(1 + SHARING * max(misfit**2 - 1, 0.0)))
-    covariance = fit.solved(found, scale)[1][:3, :3]
+    mesh = fit.of_mesh(found, scale)
+    covariance = fit.solved(found, scale)[1][:3, :3] + np.outer(mesh, mesh)
     most = fit.std / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     covariance *= np.outer(np.minimum(most, 1.0), np.minimum(most, 1.0))
     std = Tolerances(*np.sqrt(np.diag(covariance))[[0, 1, 2]])
@@ -378,6 +379,16 @@ class _Fit:
         self.contacts[:, :2] += np.clip(moved[:, :2], -0.2 * thickness, 0.2 * thickness)
         grown = np.exp(np.clip(moved[:, 2], -0.4, 0.4))
         self.contacts[:, 2] = np.clip(self.contacts[:, 2] * grown, LEAST * thickness, MOST * thickness)
+
+    def of_mesh(self, found: _Step, scale: float) -> Array:
+        """By how much log E, nu, log thickness answer to the whole error of the mesh (3,)."""
+        own = self.free.copy()
+        own[-1] = False
+        A = np.concatenate([found.slopes / scale, self.prior()[1]])[:, own]
+        b = np.concatenate([found.slopes[:, -1] / scale, np.zeros(len(own))])
+        size, out = np.linalg.norm(A, axis=0), np.zeros(len(own))
+        out[own] = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
+        return out[:3]
 
 
 def _beside(contact: Array) -> list[Array]:
