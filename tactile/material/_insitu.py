@@ -40,6 +40,7 @@ LOOSE = 0.35  # std of the tractions under a press about the bump, over their me
 LEAST, MOST = 0.12, 1.2  # radius of a press over the thickness
 ROUNDS, ENOUGH = 12, 0.1  # of Gauss-Newton; step over std at which it ends
 COARSER = 1.3  # pitch of the mesh whose answers tell the error of the mesh
+FINER = 0.5  # std of the share of that error that is there, about all of it
 SHARING = 4  # readings that share an error of the model
 TOLD = 0.7  # of the std declared: what is left of it where presses tell something
 
@@ -139,9 +140,10 @@ def in_situ(
 
     Notes
     -----
-    What the mesh is wrong by is estimated by the answers of a coarser one (extrapolated for an error of second order)
-    and is in the std, so that it is that of the gel and not only of the noise. E and thickness usually hang together:
-    ``covariance`` holds it.
+    What the mesh is wrong by is estimated by the answers of a coarser one (extrapolated for an error of second order);
+    the presses say which share of it is there, 1 +- 0.5 before they are asked, and what the material answers to the
+    whole of it is added to the std, which so is that of the gel and not only of the noise. Not for pads whose mesh is
+    from a file. E and thickness usually hang together: ``covariance`` holds it.
     """
     F = _forces(forces, len(frames))
     kept = len(F) - (len(F) // 4 if held is None else int(held))
@@ -228,11 +230,13 @@ class _Forward:
         """Readings (m, n) per std of what is free under a press of a force (3,): tractions without a resultant."""
         nodes, areas = self.pad.nodes2d, self.pad.surface.areas
         near = np.flatnonzero(np.hypot(*(nodes - contact[:2]).T) <= contact[2] + 0.5 * float(np.sqrt(np.median(areas))))
-        own = areas[near]
-        free = np.diag(own) - np.outer(own, own) / own.sum()  # nodal forces per traction, their sum taken off
-        unit = np.zeros((3 * len(nodes), 3 * len(near)))
+        own, (x, y) = areas[near], (nodes[near] - contact[:2]).T / contact[2]
+        # every node by itself, and what all of them share: a slope, another profile
+        kinds = np.column_stack([np.eye(near.size), x, y, 2 * (x**2 + y**2) - 1])
+        parts = own[:, None] * (kinds - own @ kinds / own.sum())  # nodal forces, their sum taken off
+        unit = np.zeros((3 * len(nodes), 3 * parts.shape[1]))
         for axis in range(3):
-            unit[np.ix_(3 * near + axis, np.arange(len(near)) + axis * len(near))] = free
+            unit[np.ix_(3 * near + axis, np.arange(parts.shape[1]) + axis * parts.shape[1])] = parts
         return LOOSE * float(np.linalg.norm(force)) / (np.pi * contact[2] ** 2) * self.readings(unit)
 
 
@@ -281,22 +285,22 @@ class _Presses:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Whitened residuals (n,) and sensitivities (n, 3 + 3 presses) at a material and contacts, prior rows apart."""
+    """Whitened residuals (n,) and sensitivities (n, 4 + 3 presses) at a material and contacts, prior rows apart."""
 
     rest: Array
     slopes: Array
-    factors: list[tuple[Array, Array]]
 
 
 class _Fit:
-    """Gauss-Newton over log E, nu, log thickness, and place and log radius of every press."""
+    """Gauss-Newton over log E, nu, log thickness, place and log radius of every press, and the error of the mesh."""
 
     def __init__(self, sensor: MultilayerPad, prior: Tolerances, presses: _Presses) -> None:
         self.sensor, self.presses, pad = sensor, presses, sensor.pad
         self.start = np.array([np.log(pad.E), pad.nu, np.log(pad.thickness)])
         self.std = np.array([prior.E, prior.nu, prior.thickness])
-        self.free = np.r_[self.std > 0, np.ones(3 * len(presses.y), bool)]
+        self.free = np.r_[self.std > 0, np.ones(3 * len(presses.y), bool), coarser(pad) is not None]
         self.at = self.start.copy()
+        self.finer = 1.0 if coarser(pad) is not None else 0.0
         self.contacts = presses.placed(_Forward(sensor, pad), pad.thickness)
         self.first_radius = np.log(self.contacts[:, 2])
 
@@ -309,21 +313,25 @@ class _Fit:
         base = self.forward(self.at)
         others = [self.forward(self.at + d) for d in np.diag(self._steps())[1:]]
         count = len(self.presses.y)
-        rests, slopes, factors = [], [], []
+        other_mesh = coarser(base.pad)
+        coarse = None if other_mesh is None else _Forward(self.sensor, other_mesh)
+        rests, slopes = [], []
         for k, (contact, force) in enumerate(zip(self.contacts, self.presses.forces, strict=True)):
             here = base.press(contact) @ force
             seen, L = self.presses.whitener(base, k, contact)
-            columns = np.zeros((len(here), 3 + 3 * count))
+            columns = np.zeros((len(here), 4 + 3 * count))
             columns[:, 0] = -here
             for i, (other, d) in enumerate(zip(others, self._steps()[1:], strict=True), 1):
                 columns[:, i] = (other.press(contact) @ force - here) / d
             for j, moved in enumerate(_beside(contact)):
                 columns[:, 3 + 3 * k + j] = (base.press(moved) @ force - here) / BESIDE[j]
-            white = solve_triangular(L, np.column_stack([self.presses.y[k] - here, columns])[seen], lower=True)
+            if coarse is not None:
+                columns[:, -1] = (here - coarse.press(contact) @ force) / (COARSER**2 - 1)
+            rest = self.presses.y[k] - here - self.finer * columns[:, -1]
+            white = solve_triangular(L, np.column_stack([rest, columns])[seen], lower=True)
             rests.append(white[:, 0])
             slopes.append(white[:, 1:])
-            factors.append((seen, L))
-        return _Step(np.concatenate(rests), np.concatenate(slopes), factors)
+        return _Step(np.concatenate(rests), np.concatenate(slopes))
 
     def _steps(self) -> Array:
         """Of log E, nu, log thickness; towards smaller nu, of which there is always one."""
@@ -332,9 +340,9 @@ class _Fit:
     def prior(self) -> tuple[Array, Array]:
         """Rows of what was declared, and of radii."""
         count = len(self.contacts)
-        std = np.r_[np.where(self.std > 0, self.std, 1.0), np.tile([np.inf, np.inf, RADIUS], count)]
-        now = np.r_[self.at - self.start, np.column_stack(
-            [np.zeros((count, 2)), np.log(self.contacts[:, 2]) - self.first_radius]).ravel()]  # fmt: skip
+        std = np.r_[np.where(self.std > 0, self.std, 1.0), np.tile([np.inf, np.inf, RADIUS], count), FINER]
+        grown = np.column_stack([np.zeros((count, 2)), np.log(self.contacts[:, 2]) - self.first_radius])
+        now = np.r_[self.at - self.start, grown.ravel(), self.finer - 1.0]
         return -now / std, np.diag(1 / std)
 
     def solved(self, found: _Step, scale: float) -> tuple[Array, Array]:
@@ -365,28 +373,21 @@ class _Fit:
         """A step, cut where it goes farther than the linear model is to be believed."""
         self.at = self.at + step[:3] / max(1.0, float(np.abs(step[:3] / FURTHEST).max()))
         self.at[1] = np.clip(self.at[1], 0.01, HIGHEST)
-        moved = step[3:].reshape(-1, 3)
+        moved = step[3:-1].reshape(-1, 3)
+        self.finer += float(step[-1])
         thickness = float(np.exp(self.at[2]))
         self.contacts[:, :2] += np.clip(moved[:, :2], -0.2 * thickness, 0.2 * thickness)
         grown = np.exp(np.clip(moved[:, 2], -0.4, 0.4))
         self.contacts[:, 2] = np.clip(self.contacts[:, 2] * grown, LEAST * thickness, MOST * thickness)
 
     def of_mesh(self, found: _Step, scale: float) -> Array:
-        """By how much log E, nu, log thickness would change, were the mesh without error: (3,)."""
-        base = self.forward(self.at)
-        coarse = coarser(base.pad)
-        if coarse is None:
-            return np.zeros(3)
-        other = _Forward(base.sensor, coarse)
-        rest = []
-        for (seen, L), contact, force in zip(found.factors, self.contacts, self.presses.forces, strict=True):
-            rest.append(solve_triangular(L, ((base.press(contact) - other.press(contact)) @ force)[seen], lower=True))
-        changed = replace(found, rest=np.concatenate(rest) / (COARSER**2 - 1))
-        rows = np.concatenate([changed.slopes / scale, self.prior()[1]])[:, self.free]
-        b = np.concatenate([changed.rest / scale, np.zeros(len(self.free))])
-        size = np.linalg.norm(rows, axis=0)
-        out = np.zeros(len(self.free))
-        out[self.free] = np.linalg.lstsq(rows / size, b, rcond=None)[0] / size
+        """By how much log E, nu, log thickness answer to the whole error of the mesh (3,)."""
+        own = self.free.copy()
+        own[-1] = False
+        A = np.concatenate([found.slopes / scale, self.prior()[1]])[:, own]
+        b = np.concatenate([found.slopes[:, -1] / scale, np.zeros(len(own))])
+        size, out = np.linalg.norm(A, axis=0), np.zeros(len(own))
+        out[own] = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
         return out[:3]
 
 
