@@ -139,7 +139,7 @@ def noisy_patch(
     """The Hertz patch under noise: one standard layer, and four B-bar layers with the ridge of `MultilayerPad`."""
     found = {}
     for name, gel in (("1 layer", square(1, "standard", side=side)), ("4 layers", square(4, "bbar", side=side))):
-        sensor = MultilayerPad(gel, Markers(gel.nodes2d, noise[0], "XYZ"))
+        sensor = MultilayerPad(gel, Markers(gel.nodes2d, noise[0], "XYZ"), penalty="identity")
         mass = sparse.csr_array(sparse.kron(gel.surface.mass, sparse.eye_array(3)))
         motion, f = truth(gel)
         found[name] = rules(sensor.model.H, motion.ravel(), f.ravel(), noise, draws, forces=mass)
@@ -177,7 +177,9 @@ def calibrated(where: float | None = WITHIN, **fine: Any) -> tuple[Gain, Shape]:
     def build(nu: float) -> MultilayerPad:
         gel = guessed(nu)
         support = None if where is None else np.linalg.norm(gel.nodes2d, axis=1) < where
-        return MultilayerPad(gel, Markers(places, CALM, "XYZ"), choice=0.003, contact=ContactLaw(support=support))
+        return MultilayerPad(
+            gel, Markers(places, CALM, "XYZ"), penalty="identity", choice=0.003, contact=ContactLaw(support=support)
+        )
 
     there = build(TRUE_NU)
     estimated = [there.estimate(u).resultant().value for u in motion]
@@ -217,7 +219,7 @@ def benchmark(
         "GelSlim, 4 layers": GelSlim(several, markers, interpolation="linear"),
     }
     for rule in chosen:
-        sensors[f"MultilayerPad, {rule}"] = ridge = MultilayerPad(several, markers, choice=rule)
+        sensors[f"MultilayerPad, {rule}"] = ridge = MultilayerPad(several, markers, penalty="identity", choice=rule)
         ridge.calibrate([first])
     called = {name: lambda u, s=s: s.estimate(u).forces() for name, s in sensors.items()}
     return metrics.benchmark(called, cases, areas=areas, points=nodes, noise=noise, draws=draws)

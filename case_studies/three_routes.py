@@ -138,9 +138,11 @@ def routes(rig: Rig, known: Sequence[Frame]) -> dict[str, Reader]:
     slim = GelSlim(single, Markers(rig.places, MARKER), depth=known[0].depth)
     settings: dict[str, Any] = {"markers": Markers(rig.places, MARKER), "depth": known[0].depth}
     inside = rig.inside(pad.nodes2d)
-    ridge = MultilayerPad(pad, **settings, contact=ContactLaw(support=inside))
+    ridge = MultilayerPad(pad, penalty="identity", **settings, contact=ContactLaw(support=inside))
     lam = ridge.calibrate([f.surface[:, :2] for f in known], [f.depth for f in known]).lam
-    held = MultilayerPad(pad, choice=lam, **settings, contact=ContactLaw(no_pull=True, support=inside))
+    held = MultilayerPad(
+        pad, penalty="identity", choice=lam, **settings, contact=ContactLaw(no_pull=True, support=inside)
+    )
     found = {
         f"GelForce, {name}": _point_forces(rig, known, ground, axes)
         for name, ground, axes in (

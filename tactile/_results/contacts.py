@@ -97,7 +97,7 @@ def apart(found: ForceMap, share: float) -> tuple[Contact, ...]:
     linked = _neighbours(found)[nodes][:, nodes]
     part = connected_components(linked, directed=False)[1]
     clear = max(CLEAR, float(-ndtri(CHANCE / len(mask))))
-    push, spread = found.pressure_of(found.forces())[nodes], (found.pressure_std() * found.areas)[nodes]
+    push, spread = found.pressure_of(found.forces())[nodes], (found.pressure_noise() * found.areas)[nodes]
     noise = np.bincount(part, spread**2) * np.minimum(np.bincount(part), ALIKE)
     regions = [nodes[part == k] for k in np.flatnonzero(np.bincount(part, push) > clear * np.sqrt(noise))]
     if not regions:
@@ -121,7 +121,7 @@ def _touched(found: ForceMap, share: float) -> tuple[Mask, float]:
         raise InputError("no share of the peak", where="contact", found=share, expected="between 0 and 1")
     p = found.pressure()
     threshold = share * max(float(p.max()), 0.0)
-    return (p > threshold) & (p > CLEAR * found.pressure_std()), threshold
+    return (p > threshold) & (p > CLEAR * found.pressure_noise()), threshold
 
 
 def _contact(found: ForceMap, mask: Mask, threshold: float, force: Vector) -> Contact:

@@ -166,9 +166,20 @@ class ForceMap(LoadEstimate):
 
     def pressure_std(self) -> Array:
         """Std of the pressure at the nodes (..., P) in Pa; of nodal forces over the areas of their nodes."""
-        each, n = self._vectors(self.std), self.normals
+        return self._normal_std(self.std)
+
+    def pressure_noise(self) -> Array:
+        """Std of the pressure at the nodes (..., P) in Pa by noise alone, without what is unseen or the model's error.
+
+        A pressure that is clear of it is none of noise, however little its band says of its size.
+        """
+        known = self._geometry.get("noise_std")
+        return self._normal_std(self.std if known is None else np.broadcast_to(known, self.std.shape))
+
+    def _normal_std(self, std: NDArray[Any]) -> Array:
+        each, n = self._vectors(std), self.normals
         spread = each[..., 2] if n is None else np.sqrt(np.sum((each * n) ** 2, axis=-1))
-        return spread / self.areas if self._geometry["kind"] == "nodal" else spread
+        return np.asarray(spread / self.areas if self._geometry["kind"] == "nodal" else spread)
 
     def resultant(self) -> Vector:
         """Force on the pad, (..., 3) in N, with its std."""

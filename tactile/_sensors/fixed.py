@@ -13,7 +13,7 @@ the noise are errors of the model, which are alike over two thicknesses: they co
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -136,7 +136,10 @@ CLEAR = 2.0  # stds of the unconstrained map
 
 @dataclass(frozen=True, eq=False)
 class FrameAnswer:
-    """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags, image's motion."""
+    """What came of one frame: load (n,) and std, covariance of the resultant (6, 6), facts, flags, image's motion.
+
+    And the std (n,) by noise alone, where that is less than all that may be wrong.
+    """
 
     load: Array
     std: Array
@@ -144,6 +147,7 @@ class FrameAnswer:
     facts: ForceFacts
     flags: list[Flag | None]
     image: ImageShift | None = None
+    noise: Array | None = None
 
 
 @dataclass(eq=False)
@@ -223,7 +227,10 @@ class QuickMap:
             force, covariance = met(inverse.resultant @ load, covariance, wrench)
             load = load if found is not None else band.corrected(load, force)
         flags = [guards.unseen(self.recovery) if wrench is None else None]
-        return self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift)
+        if found is None and wrench is None:
+            covariance = covariance + self._blind(inverse.resultant @ load)
+        done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift)
+        return replace(done, noise=wide * np.sqrt(band.noise))
 
     def _steadied(self, y: Array) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""

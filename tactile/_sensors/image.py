@@ -10,6 +10,7 @@ and how the image has moved follow from each other in two or three rounds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -122,8 +123,7 @@ NOISE = 0.5  # of the noise of one marker
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
-SLACK = 0.25  # thicknesses by which a contact may wander before its region is taken anew
-GROWTH = 4.0  # how much larger than the loaded nodes a region may be before it is cut
+KEPT = 24  # regions
 FREE = 10.0  # times the std of the average over the pad: loads where there is a contact
 
 
@@ -151,15 +151,12 @@ class ImageShift:
 class _Told:
     """What tells the image's motion while loads act on one region: `rows` (q, m) of whitened readings, covariance.
 
-    `errors` (errors, q, n) are what errors of the gel make of it. Found without the readings that are `lost`, for loads
-    at the nodes that are `covered` (P,).
+    `errors` (errors, q, n) are what errors of the gel make of it.
     """
 
     rows: Array
     covariance: Array
     errors: Array
-    lost: Index
-    covered: Mask
 
 
 @dataclass(eq=False)
@@ -171,7 +168,7 @@ class ImageFit:
     inverse: Inverse
     places: Array
     thickness: float
-    _last: _Told | None = field(default=None, init=False)  # one value, for threads
+    _known: dict[bytes, _Told] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.moved = self.motion.columns / self.problem.noise[:, None]  # whitened readings per unit
@@ -220,25 +217,32 @@ class ImageFit:
         return self.inverse.band.loaded(load)
 
     def _told(self, loaded: Mask, lost: Index) -> _Told:
-        """What tells the motion while these nodes are loaded: as before, if that was found for them and little more."""
-        last = self._last
-        if last is not None and np.array_equal(last.lost, lost):
-            about = self._grown(loaded, SLACK)
-            if not np.any(loaded & ~last.covered) and last.covered.sum() <= GROWTH * about.sum():
-                return last
-        self._last = found = self._fitted(loaded, lost)
+        """What tells the motion while these nodes are loaded: alike for all of the same blocks."""
+        blocks = np.isin(self._blocks, self._blocks[loaded])
+        key = blocks.tobytes() + lost.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            if len(self._known) > KEPT:
+                self._known.clear()
+            found = self._known[key] = self._fitted(blocks, lost)
         return found
 
-    def _grown(self, loaded: Mask, by: float) -> Mask:
+    @cached_property
+    def _blocks(self) -> Index:
+        """Which block, half as wide as the gel is thick, each node lies in (P,)."""
+        at = np.floor(2 * self.places[:, :2] / self.thickness).astype(int)
+        return np.unique(at, axis=0, return_inverse=True)[1].ravel().astype(np.intp)
+
+    def _near(self, loaded: Mask) -> Index:
+        """Nodes where loads may act (k,)."""
         from scipy.spatial import cKDTree
 
         if not loaded.any():
-            return loaded
-        return np.asarray(cKDTree(self.places[loaded]).query(self.places)[0] <= by * self.thickness)
+            return np.flatnonzero(loaded)
+        return np.flatnonzero(cKDTree(self.places[loaded]).query(self.places)[0] <= NEAR * self.thickness)
 
     def _fitted(self, loaded: Mask, lost: Index) -> _Told:
-        covered = self._grown(loaded, SLACK)
-        nodes = np.flatnonzero(self._grown(covered, NEAR))
+        nodes = self._near(loaded)
         problem, std = self.problem, self.motion.std
         unknown = [self.moved * std]
         if nodes.size:
@@ -254,7 +258,7 @@ class ImageFit:
         rows = back @ Q[: len(A)].T
         gel = [(rows / problem.noise) @ e.change for e in problem.errors() if not e.of_mesh]
         errors = np.array(gel).reshape(-1, len(std), problem.H.shape[1])
-        return _Told(rows, back @ back.T, errors, lost, covered)
+        return _Told(rows, back @ back.T, errors)
 
     def _shift(self, a: Array, covariance: Array, y: Array) -> ImageShift:
         motion, rigid = self.motion, slice(0, FREEDOMS)

@@ -371,6 +371,7 @@ class LinearSensor(MarkedSensor):
             moved = guards.moved(found.image, None if self.eye is None else self.eye.pixel)
             flags = [*flags, guards.unpressed(self.resultant[:3] @ found.load, found.wrench[:3, :3])]
         load, std = self._scattered(found.load), self._scattered(found.std)
+        noise = {} if found.noise is None else {"noise_std": self._scattered(found.noise)}
         return ForceMap(
             load=load,
             std=std,
@@ -379,7 +380,7 @@ class LinearSensor(MarkedSensor):
             flags=collect([*self.model.flags, *flags, *found.flags, moved, *self._own(load, facts)]),
             allowed=self.family.allow,
             certificate=self.model.certificate,
-            geometry={**self.geometry, "resultant_covariance": found.wrench},
+            geometry={**self.geometry, "resultant_covariance": found.wrench, **noise},
             facts=facts,
             provenance=self._provenance,
         )

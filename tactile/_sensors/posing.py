@@ -221,10 +221,16 @@ def middle(sweep: Sweep) -> RuleResult:
     """
     free = replace(sweep, sigma=None)
     asked = [rules.run(name, free if name == "evidence" else sweep) for name in THREE]
-    told = sorted((r for r in asked if r.lam is not None), key=lambda r: float(r.lam or 0.0))
+    told = sorted(_inside(asked), key=lambda r: float(r.lam or 0.0))
     if not told:
         raise rules.Refusal("none of UPRE, GCV and the evidence finds a lambda")
     return replace(told[len(told) // 2], rule=middle.__name__)
+
+
+def _inside(asked: Sequence[RuleResult]) -> list[RuleResult]:
+    """Rules that found a lambda; those that ended at an edge of its range only where all did."""
+    found = [r for r in asked if r.lam]
+    return [r for r in found if not r.edge] or found
 
 
 def chosen_on(family: StaticInversion, y: Array) -> Choice:
@@ -251,7 +257,7 @@ def together(
         return family.calibrate(records)
     asked = _with_rule(family, middle)
     found = asked.choose(asked.pose(readings(np.array(records), family.model, family.sensors)))
-    lams = {r.rule: float(r.lam) for r in found.rules if r.rule in THREE and r.lam}
+    lams = {r.rule: float(r.lam or 0.0) for r in _inside([r for r in found.rules if r.rule in THREE])}
     lam, rule = found.lam, middle.__name__
     if off is not None:
         rule = min(lams, key=lambda name: off(lams[name]))

@@ -661,7 +661,11 @@ def mapped(e: Any) -> Answer:
 def pressed(axes: str = "XYZ", **settings: Any) -> Answer:
     """Force map of the multilayer pad."""
     at, u = moved()
-    return mapped(MultilayerPad(pad(), Markers(at, 2e-6, axes), **SAID, **settings).estimate(u[:, : len(axes)]))
+    return mapped(
+        MultilayerPad(pad(), Markers(at, 2e-6, axes), **SAID, **{"penalty": "identity", **settings}).estimate(
+            u[:, : len(axes)]
+        )
+    )
 
 
 def slim() -> Answer:

@@ -15,7 +15,7 @@ import pytest
 
 from structures.errors import InputError
 from tactile import Press
-from tactile._results.forcemap import Contact, ForceMap
+from tactile._results.forcemap import Contact, ForceMap, Vector
 from tactile.live import Friction, Live, LiveEvent, LiveFrame
 from tactile.live._events import Watch
 from tactile.live._loop import Waiting
@@ -26,6 +26,8 @@ from .rigs import NOISE, PRESS, fresh, markers, motion, moved_by, pad, sensor
 
 RATE = 60.0
 Array = np.ndarray
+
+NOTHING = Vector(np.zeros(3), np.zeros(3), "N")
 
 
 def noisy(u: Any, rng: np.random.Generator) -> Array:
@@ -292,7 +294,7 @@ def test_a_zero_is_refused_that_is_none() -> None:
 # -- slip -------------------------------------------------------------------------------------------------------------
 def contact_of(found: ForceMap, traction: Array, radius: float, at: Array) -> Contact:
     here = np.linalg.norm(found.nodes[:, :2] - at, axis=1) < radius
-    return Contact(here, float(found.areas[here].sum()), at, radius, float(-traction[:, 2].min()), np.zeros(0), 0.0)
+    return Contact(here, float(found.areas[here].sum()), at, radius, float(-traction[:, 2].min()), np.zeros(0), 0.0, NOTHING)
 
 
 def test_the_slip_map_is_that_of_mindlin() -> None:
@@ -319,7 +321,7 @@ def test_the_band_of_the_slip_map_is_that_of_draws() -> None:
     like = sensor().estimate(motion())
     t, spread = like.traction(), np.full(like.load.shape, 150.0)
     at = t[:, 2] < 0.5 * t[:, 2].min()
-    touch = Contact(at, 1.0, np.zeros(2), 1e-3, 1.0, np.zeros(0), 0.0)
+    touch = Contact(at, 1.0, np.zeros(2), 1e-3, 1.0, np.zeros(0), 0.0, NOTHING)
     told = slip_map(replace(like, std=spread), touch, Friction(0.4, 0.02, 100, True))
     rng, draws = np.random.default_rng(0), []
     for _ in range(2000):
