@@ -210,7 +210,7 @@ def _asked(family: StaticInversion, found: Any) -> tuple[LoadEstimate, str]:
 
 
 THREE = ("upre", "gcv", "evidence")
-APART = 3.0  # decades between the outer ones of the three from which they say nothing together
+APART = 2.0  # decades that no two of the three may lie apart, if they are to say anything together
 
 
 def middle(sweep: Sweep) -> RuleResult:
@@ -225,6 +225,11 @@ def middle(sweep: Sweep) -> RuleResult:
     if not told:
         raise rules.Refusal("none of UPRE, GCV and the evidence finds a lambda")
     return replace(told[len(told) // 2], rule=middle.__name__)
+
+
+def _apart(lams: list[float]) -> float:
+    """Decades between the two of some lambdas that lie nearest to each other; none of a single one."""
+    return float(np.diff(np.log10(np.sort(lams))).min(initial=np.inf)) if len(lams) > 1 else 0.0
 
 
 def _inside(asked: Sequence[RuleResult]) -> list[RuleResult]:
@@ -262,11 +267,11 @@ def together(
     if off is not None:
         rule = min(lams, key=lambda name: off(lams[name]))
         lam = lams[rule]
-    elif (decades := float(np.log10(max(lams.values()) / min(lams.values())))) > APART:
+    elif (decades := _apart(list(lams.values()))) > APART:
         raise InputError(
             "the rules for lambda lie decades apart on these presses", where="calibrate",
             found=", ".join(f"{name} {value:.2g}" for name, value in lams.items()) + f": {decades:.1f} decades",
-            expected=f"UPRE, GCV and the evidence within {APART:g} decades",
+            expected=f"two of UPRE, GCV and the evidence within {APART:g} decades",
             hint="give the forces of a force sensor or of weights (wrenches=), press harder, or set choice= to a rule",
         )  # fmt: skip
     return replace(asked.calibrate(list(records)), lam=lam, rule=rule)

@@ -81,4 +81,5 @@ def moved_by(press: Press) -> NDArray[np.float64]:
 
 def fresh(axes: str = "XYZ", **settings: object) -> MultilayerPad:
     """A sensor of one's own, whose zero may be moved."""
-    return MultilayerPad(pad(), Markers(markers(), NOISE, axes), choice=0.01, **settings)  # type: ignore[arg-type]
+    given = {"penalty": "identity", **settings}
+    return MultilayerPad(pad(), Markers(markers(), NOISE, axes), choice=0.01, **given)  # type: ignore[arg-type]

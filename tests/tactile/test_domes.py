@@ -171,7 +171,7 @@ def estimated(pad: Pad, press: DomePress, seed: int = 0):
     """Map of the motion of markers on the true dome, read with a model."""
     at = markers()
     u = motion(at, press) + NOISE * np.random.default_rng(seed).standard_normal((len(at), 3))
-    return MultilayerPad(pad, Markers(at, NOISE, "XYZ")).estimate(u)
+    return MultilayerPad(pad, Markers(at, NOISE, "XYZ"), penalty="identity").estimate(u)
 
 
 def on_nodes(pad: Pad, press: DomePress) -> np.ndarray:

@@ -294,7 +294,9 @@ def test_a_zero_is_refused_that_is_none() -> None:
 # -- slip -------------------------------------------------------------------------------------------------------------
 def contact_of(found: ForceMap, traction: Array, radius: float, at: Array) -> Contact:
     here = np.linalg.norm(found.nodes[:, :2] - at, axis=1) < radius
-    return Contact(here, float(found.areas[here].sum()), at, radius, float(-traction[:, 2].min()), np.zeros(0), 0.0, NOTHING)
+    return Contact(
+        here, float(found.areas[here].sum()), at, radius, float(-traction[:, 2].min()), np.zeros(0), 0.0, NOTHING
+    )
 
 
 def test_the_slip_map_is_that_of_mindlin() -> None:
