@@ -44,7 +44,7 @@ SHARE, CLEAR = 0.25, 5.0  # of the largest load, and of the noise, above which a
 MESH = "mesh"
 ROUNDING = 1e-14  # over the trace: what keeps a Cholesky factor of the data real
 FEW = 12  # readings
-FAINT = 1e-4  # of the variance of the largest load, below which one tells nothing of the resultant's band
+FAINT = 1e-3  # of the variance of the largest load, below which one tells nothing of the resultant's band
 SIDEWAYS = 0.1  # shear over pressure that any contact may have, unseen
 
 
@@ -105,6 +105,11 @@ class Band:
         return np.column_stack([shear, shear, normal]).ravel()
 
     @cached_property
+    def _rows(self) -> Array:
+        """What resultants lack of a load, and what errors of the model make of them, under each other."""
+        return np.vstack([self.missed, *(e.rows for e in self.errors)])
+
+    @cached_property
     def _noisy(self) -> Array:
         return np.asarray(self.asked @ self.asked.T)
 
@@ -125,12 +130,14 @@ class Band:
         sizes = self.sizes(load)
         large = (sizes.reshape(-1, 3) > FAINT * sizes.max(initial=0.0)).any(axis=1)  # the others make no difference
         nodes = np.flatnonzero(large)
-        columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-        root, prior = np.sqrt(sizes[columns]), self.prior.among(nodes)
-        out = wide**2 * self._noisy
-        for rows in (self.missed, *(e.rows for e in self.errors)):
-            local = rows[:, columns] * root
-            out = out + prior.times(local) @ local.T
+        if 2 * len(nodes) > len(large):
+            local, prior = self._rows * np.sqrt(sizes), self.prior.single
+        else:
+            columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            local, prior = self._rows[:, columns] * np.sqrt(sizes[columns]), self.prior.among(nodes)
+        made, out = prior.times(local.astype(prior.matrix.dtype, copy=False)), wide**2 * self._noisy
+        for k in range(0, len(local), 6):
+            out = out + np.asarray(made[k : k + 6] @ local[k : k + 6].T, float)
         for error in self.errors:
             one = error.rows @ load
             out = out + np.outer(one, one)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -106,7 +107,13 @@ class PosedPrior:
 
     @cached_property
     def _root(self) -> Array:
-        return np.linalg.cholesky(self.matrix)
+        return np.asarray(np.linalg.cholesky(self.matrix), float)
+
+    @cached_property
+    def single(self) -> PosedPrior:
+        """The same in single precision: for bands, where all of the surface counts."""
+        matrix: Any = self.matrix.astype(np.float32)
+        return PosedPrior(matrix, self.share.astype(np.float32))
 
     def times(self, rows: Array) -> Array:
         """Rows (k, 3 P) times the covariance."""
@@ -118,7 +125,7 @@ class PosedPrior:
 
     def among(self, nodes: Index) -> PosedPrior:
         """The prior of some nodes (k,)."""
-        return self if len(nodes) == len(self.matrix) else PosedPrior(self.matrix[np.ix_(nodes, nodes)], self.share)
+        return PosedPrior(self.matrix[np.ix_(nodes, nodes)], self.share)
 
     def penalty(self, nodes: Index) -> Array:
         """L (3 k, 3 k) of the tractions at some nodes (k,), where all others carry none."""

@@ -20,6 +20,7 @@ from tactile import (
     Tolerances,
     Wrench,
 )
+from tactile._sensors import posing
 
 from .padtruth import consistent
 from .rigs import NO_PULL, NOISE, depth, markers, motion, nodal, pad
@@ -143,12 +144,13 @@ def test_a_force_sensor_tells_which_rule_is_right() -> None:
         s.calibrate([motion(1), motion(2)], wrenches=[Wrench(force)])
 
 
-def test_rules_that_lie_decades_apart_are_refused() -> None:
-    """Noise of half a marker's pitch, stated a thousand times too small, and nothing that presses."""
-    s = MultilayerPad(pad(), Markers(markers(), 1e-9, "XYZ"))
-    y = [1e-4 * np.random.default_rng(k).standard_normal((len(markers()), 3)) for k in range(2)]
-    with pytest.raises(InputError, match="decades apart"):
-        s.calibrate(y)
+def test_rules_that_lie_decades_apart_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert posing._apart([1e-6, 1e-3, 1.0]) == pytest.approx(3.0)
+    assert posing._apart([1e-6, 2e-2, 1e-2]) == pytest.approx(np.log10(2))
+    s = MultilayerPad(pad(), Markers(markers(), NOISE, "XYZ"))
+    monkeypatch.setattr(posing, "APART", -1.0)  # as if no two of them agreed
+    with pytest.raises(InputError, match=r"decades apart.*upre"):
+        s.calibrate([motion(1)])
     assert not s.frozen
 
 
