@@ -101,6 +101,7 @@ class Band:
         normal = beyond[:, 2] / np.maximum(unit[:, 2], least[:, 2])
         shear = beyond[:, :2].sum(axis=1) / np.maximum(unit[:, :2], least[:, :2]).sum(axis=1)
         normal, shear = (_largest(self.near, v) for v in (normal, shear))
+        normal = np.maximum(normal, shear)  # what shears must press, seen or not
         shear = np.maximum(shear, SIDEWAYS**2 * self.prior.share[2] / self.prior.share[0] * normal)
         return np.column_stack([shear, shear, normal]).ravel()
 

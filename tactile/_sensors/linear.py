@@ -424,7 +424,7 @@ class LinearSensor(MarkedSensor):
             only = np.zeros(len(y))
             only[:count].reshape(shape)[:, :2] = motion(places)
             maps = inverse()
-            return np.asarray(maps.matrix @ (only[rows] / maps.noise))
+            return np.asarray(maps.matrix @ (only[rows] / maps.noise).astype(maps.matrix.dtype, copy=False), float)
 
         return whole_motion(
             y[:count].reshape(shape)[:, :2], load, std, markers, self.geometry["coordinates"][self.kept[::3] // 3, :2],

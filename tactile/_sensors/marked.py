@@ -122,12 +122,13 @@ class InversionSettings(TypedDict, total=False):
 
     Attributes
     ----------
-    penalty : str or matrix
-        ``identity`` (ridge; point-like contacts), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`;
-        None for plain least squares.
+    penalty : ContactPrior, str or matrix
+        `tactile.ContactPrior` (presses anywhere, of any radius between two); ``identity`` (ridge; loads that are
+        points), ``gradient`` or ``laplacian`` (smooth ones), as `StaticInversion`; None for plain least squares.
     choice : str, float or None
-        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes UPRE at the noise of the markers, or
-        GCV where the data show that this is not all there is (errors of the mesh, a level that is too low).
+        Rule for lambda, or a relative lambda; `calibrate` freezes it. None takes under a contact prior the middle one
+        of UPRE, GCV and the evidence; else UPRE at the noise of the markers, or GCV where the data show that this is
+        not all there is (errors of the mesh, a level that is too low).
     noise_source : NoiseSource, str or (str, str)
         Where the noise level comes from, as in `loadid.StaticInversion`.
     contact : ContactLaw
