@@ -111,6 +111,18 @@ class Band:
         return np.vstack([self.missed, *(e.rows for e in self.errors)])
 
     @cached_property
+    def _alike(self) -> Array:
+        """What loads of one size everywhere add to the covariance of the resultant, by component (3, 6, 6)."""
+        out = np.zeros((3, 6, 6))
+        for c in range(3):
+            rows = np.zeros_like(self._rows)
+            rows[:, c::3] = self._rows[:, c::3]
+            made = self.prior.times(rows)
+            for k in range(0, len(rows), 6):
+                out[c] += made[k : k + 6] @ rows[k : k + 6].T
+        return out
+
+    @cached_property
     def _noisy(self) -> Array:
         return np.asarray(self.asked @ self.asked.T)
 
@@ -131,14 +143,15 @@ class Band:
         sizes = self.sizes(load)
         large = (sizes.reshape(-1, 3) > FAINT * sizes.max(initial=0.0)).any(axis=1)  # the others make no difference
         nodes = np.flatnonzero(large)
-        if 2 * len(nodes) > len(large):
-            local, prior = self._rows * np.sqrt(sizes), self.prior.single
+        out = wide**2 * self._noisy
+        if 2 * len(nodes) > len(large):  # no contact: all of the surface is alike
+            out = out + np.einsum("c,cij->ij", sizes.reshape(-1, 3).mean(axis=0), self._alike)
         else:
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-            local, prior = self._rows[:, columns] * np.sqrt(sizes[columns]), self.prior.among(nodes)
-        made, out = prior.times(local.astype(prior.matrix.dtype, copy=False)), wide**2 * self._noisy
-        for k in range(0, len(local), 6):
-            out = out + np.asarray(made[k : k + 6] @ local[k : k + 6].T, float)
+            local = self._rows[:, columns] * np.sqrt(sizes[columns])
+            made = self.prior.among(nodes).times(local)
+            for k in range(0, len(local), 6):
+                out = out + made[k : k + 6] @ local[k : k + 6].T
         for error in self.errors:
             one = error.rows @ load
             out = out + np.outer(one, one)

@@ -115,7 +115,7 @@ def neighbours(cells: Index | None, places: Array) -> sparse.csr_array:
 
 LIKE = 1.2  # by how much a peak may change until its ratio to the strain is found anew
 GROWN = 3.0  # by how much it may grow, however recent that was: what came before may have been noise
-REST = 25  # frames between two solves, at least: a solve costs as much as many maps
+REST = 120  # frames between two solves, at least: a solve costs as much as many maps
 
 
 class StrainWatch:

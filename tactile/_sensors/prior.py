@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -108,12 +107,6 @@ class PosedPrior:
     @cached_property
     def _root(self) -> Array:
         return np.asarray(np.linalg.cholesky(self.matrix), float)
-
-    @cached_property
-    def single(self) -> PosedPrior:
-        """The same in single precision: for bands, where all of the surface counts."""
-        matrix: Any = self.matrix.astype(np.float32)
-        return PosedPrior(matrix, self.share.astype(np.float32))
 
     def times(self, rows: Array) -> Array:
         """Rows (k, 3 P) times the covariance."""
