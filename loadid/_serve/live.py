@@ -51,7 +51,7 @@ class Last:
     heard: float = 0.0
 
 
-class Live:
+class LiveStructure:
     """A structure that is tracked.
 
     Parameters

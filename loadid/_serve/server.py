@@ -21,7 +21,7 @@ from .._stream.output import StateLock
 from .brokers import Kafka, Mqtt, Publisher, ZeroMq
 from .inputs import Feed, Files, Received, Sockets
 from .journal import Journal, JournalEntry
-from .live import Live
+from .live import LiveStructure
 from .plan import Address, LiveAsset, ServePlan
 from .sinks import Sinks
 
@@ -78,10 +78,10 @@ class Server:
             held.enter_context(StateLock(plan.states / "server"))
             held.callback(self._published)
             compile_parser()
-            self.lives: dict[str, Live] = {}
+            self.lives: dict[str, LiveStructure] = {}
             for k, asset in enumerate(plan.assets):
                 told(k / len(plan.assets), f"reading tracker {asset.name}")
-                live = Live(asset, plan.state(asset), self._sinks)
+                live = LiveStructure(asset, plan.state(asset), self._sinks)
                 held.callback(live.close)
                 live.follows.tracker.compile()
                 self.lives[asset.name] = live
@@ -254,7 +254,7 @@ def _require_skipped(plan: ServePlan, skip: Collection[str]) -> None:
                              hint="mend the file or the topic, or begin under another name")  # fmt: skip
 
 
-def _feeds(plan: ServePlan, lives: dict[str, Live]) -> list[tuple[Feed, list[str]]]:
+def _feeds(plan: ServePlan, lives: dict[str, LiveStructure]) -> list[tuple[Feed, list[str]]]:
     """Sources of a plan, those of one kind and broker together, and whose they are."""
     groups: dict[Any, list[LiveAsset]] = {}
     for asset in plan.assets:
@@ -271,7 +271,7 @@ def _feeds(plan: ServePlan, lives: dict[str, Live]) -> list[tuple[Feed, list[str
     return made
 
 
-def _feed(plan: ServePlan, assets: list[LiveAsset], lives: dict[str, Live]) -> Feed:
+def _feed(plan: ServePlan, assets: list[LiveAsset], lives: dict[str, LiveStructure]) -> Feed:
     source: Address = assets[0].source
     places = {asset.name: lives[asset.name].place for asset in assets}
     if source.scheme == "file":

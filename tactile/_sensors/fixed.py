@@ -27,7 +27,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
-from .gaussian import Band, GaussianProblem
+from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, met, prepare
 from .marked import ContactLaw
@@ -206,7 +206,7 @@ class QuickMap:
         wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
         return self._answered(y, load, wide * std, wide**2 * covariance, (strays, misfit), found, flags)
 
-    def _under_prior(self, y: Array, wrench: Wrench | None, band: Band) -> FrameAnswer:
+    def _under_prior(self, y: Array, wrench: Wrench | None, band: ForceBand) -> FrameAnswer:
         """Under a contact prior, which knows how far the model may be off, beside the motion of the whole image."""
         inverse, (steady, shift) = self.inverse, self._steadied(y)
         steady, strays, misfit = self.consistency.checked(steady)

@@ -74,7 +74,7 @@ class ErrorRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class ForceBand:
     """How far loads may be off that were found by one product: variances by noise, by what is unseen, by the model.
 
     `resultant` (6, n) is that of unit loads. `noise` (n,) is the variance by noise, `unseen` (n,) that
@@ -269,7 +269,7 @@ class GaussianProblem:
         both = np.einsum("nm,mn->n", matrix, HC)
         unseen = np.maximum(C - 2 * both + np.einsum("nm,nm->n", GK, matrix), 0.0)
         kept = np.ascontiguousarray(matrix, np.float32 if matrix.size > LARGE else float)
-        band = Band(
+        band = ForceBand(
             prior=self.prior,
             resultant=R,
             noise=np.einsum("nm,nm->n", matrix, matrix),

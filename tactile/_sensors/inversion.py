@@ -33,7 +33,7 @@ from .observation import Wrench
 if TYPE_CHECKING:
     from loadid._families.static import StaticInversion
 
-    from .gaussian import Band
+    from .gaussian import ForceBand
 
 
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
@@ -69,7 +69,7 @@ class Inverse(ReadOnly):
     lam: float
     scale: float
     rule: str
-    band: Band | None = None
+    band: ForceBand | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -35,7 +35,7 @@ from ..vision._interpolation import fitted_weights
 from .marked import ContactLaw, MarkedSensor, not_built_for_depth
 from .observation import DepthMap, Markers
 from .posing import AXES, of_points
-from .spectrum import Gathered, Spectrum
+from .spectrum import Gathered, WaveSpectrum
 
 PENALTIES = ("gradient", "identity")
 NORMALS = ("free", "unknown")
@@ -120,8 +120,8 @@ class LayerSensor(MarkedSensor):
         waves = self._lattice.waves(layer, self._height)
         self.penalty = one_of("no penalty of tractions", penalty, PENALTIES, where="penalty")
         smooth = layer.h if self.penalty == "gradient" else 0.0
-        self._spectrum = Spectrum(waves, noise, 3 if self.normal == "unknown" else 2, smooth)
-        self._last: tuple[Mask, Spectrum | Gathered] | None = None  # of the last frame: one value, for threads
+        self._spectrum = WaveSpectrum(waves, noise, 3 if self.normal == "unknown" else 2, smooth)
+        self._last: tuple[Mask, WaveSpectrum | Gathered] | None = None  # of the last frame: one value, for threads
         self._last_told: tuple[tuple[bytes, float], tuple[Array, Flag | None]] | None = None
 
     def __repr__(self) -> str:
@@ -237,14 +237,14 @@ class LayerSensor(MarkedSensor):
             )  # fmt: skip
         return min(float(z.mean()), self.layer.h)
 
-    def _posed(self, seen: Mask) -> Spectrum | Gathered:
+    def _posed(self, seen: Mask) -> WaveSpectrum | Gathered:
         """The problem of the markers that are seen; kept while the same ones are."""
         last = self._last
         if last is None or not np.array_equal(last[0], seen):
             last = self._last = seen, self._gathered(seen)
         return last[1]
 
-    def _gathered(self, seen: Mask) -> Spectrum | Gathered:
+    def _gathered(self, seen: Mask) -> WaveSpectrum | Gathered:
         lattice, spectrum, noise = self._lattice, self._spectrum, self.markers.noise
         precision = np.where(seen[:, None], spectrum.noise / noise, 0.0).T
         if lattice.full and np.all(precision == 1):
@@ -265,12 +265,12 @@ class LayerSensor(MarkedSensor):
         found[:, self._lattice.order] = values
         return found.reshape(-1, *self._lattice.box)
 
-    def _data(self, motion: Array, posed: Spectrum | Gathered) -> Array:
+    def _data(self, motion: Array, posed: WaveSpectrum | Gathered) -> Array:
         """Whitened data of motion (axes, N), lost markers at zero."""
         filled = self._filled(motion, _seen(motion)) if self._lattice.full else np.nan_to_num(motion)
         values = filled / self._spectrum.noise[:, None]
         field = values if self._lattice.order is None else self._on_nodes(values)
-        return field if isinstance(posed, Spectrum) else posed.data(field)
+        return field if isinstance(posed, WaveSpectrum) else posed.data(field)
 
     def _path(self, motions: Sequence[Array], seen: Mask) -> RegularizationPath:
         posed = self._posed(seen)
@@ -290,7 +290,7 @@ class LayerSensor(MarkedSensor):
         return motion
 
     def _chosen(
-        self, motion: Array, seen: Mask, posed: Spectrum | Gathered
+        self, motion: Array, seen: Mask, posed: WaveSpectrum | Gathered
     ) -> tuple[Choice, RegularizationPath | None]:
         """Lambda of one frame, and the path on which it was sought."""
         if isinstance(self.choice, float):
@@ -305,11 +305,11 @@ class LayerSensor(MarkedSensor):
             residual = residual[:, : self._lattice.box[0], : self._lattice.box[1]]
         return unexplained(float(np.sum(residual**2)), int(seen.sum()) * len(residual), 1.0) or 1.0
 
-    def _told(self, posed: Spectrum | Gathered, seen: Mask, alpha: float) -> tuple[Array, Flag | None]:
+    def _told(self, posed: WaveSpectrum | Gathered, seen: Mask, alpha: float) -> tuple[Array, Flag | None]:
         """Covariance (6, 6) of the resultant in units of the noise, and whether a normal force is seen; kept."""
         key = seen.tobytes(), alpha
         if self._last_told is None or self._last_told[0] != key:
-            sums = posed.covariance(self._gram if isinstance(posed, Spectrum) else self._rows, alpha)
+            sums = posed.covariance(self._gram if isinstance(posed, WaveSpectrum) else self._rows, alpha)
             self._last_told = key, (sums, self._unseen(posed, alpha))
         return self._last_told[1]
 
@@ -369,7 +369,7 @@ class LayerSensor(MarkedSensor):
         found = self.layer.components(1 / self.layer.h)
         return guards.read_as_shear(float(np.abs(found.kz) / found.kk), self.layer.nu)
 
-    def _unseen(self, posed: Spectrum | Gathered, alpha: float) -> Flag | None:
+    def _unseen(self, posed: WaveSpectrum | Gathered, alpha: float) -> Flag | None:
         """W608 where of a press as wide as the layer is thick little of the normal force would be found."""
         if self.normal == "free":
             return None

@@ -42,7 +42,7 @@ class WavesPath(FactoredPath):
         """None: the modes are not told apart."""
 
 
-class Spectrum:
+class WaveSpectrum:
     """Modes of the waves on a layer.
 
     Parameters
@@ -171,7 +171,7 @@ class Gathered:
 
     Parameters
     ----------
-    spectrum : Spectrum
+    spectrum : WaveSpectrum
     seen : Gridding or None
         Points that are seen; None: nodes.
     precision : array (axes, points) or (axes, ny, nx)
@@ -182,7 +182,7 @@ class Gathered:
         Data for every node.
     """
 
-    spectrum: Spectrum
+    spectrum: WaveSpectrum
     seen: Gridding | None
     precision: Array
     loaded: tuple[slice, slice]
@@ -195,7 +195,7 @@ class Gathered:
         return self.spectrum.waves.held(motion) * self.precision
 
     def filtered(self, data: Array, alpha: float) -> tuple[Array, Array]:
-        """As `Spectrum.filtered`, on the nodes that may be loaded."""
+        """As `WaveSpectrum.filtered`, on the nodes that may be loaded."""
         load = self.solve(self.back(data), alpha, SETTLED)
         return load, -(alpha**2) * self.solve(self._penalised(load), alpha)
 

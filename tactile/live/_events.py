@@ -62,7 +62,7 @@ class _Lamp:
         return "begins" if self.on else "ends"
 
 
-class Watch:
+class EventWatch:
     """Says what begins and ends, of markers at places (N, 2) in m."""
 
     def __init__(self, places: Array) -> None:

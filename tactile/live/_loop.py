@@ -29,7 +29,7 @@ from .._sensors.marked import MarkedSensor, is_image
 from .._sensors.observation import DepthMap
 from ..vision._frames import Frames, each, frames
 from ..vision._images import grey
-from ._events import LiveEvent, Watch
+from ._events import EventWatch, LiveEvent
 from ._frame import Latency, LiveFrame
 from ._recordings import Recording
 from ._slip import SlipMap, SlipWatch
@@ -172,7 +172,7 @@ class Live:
         if before is not None:
             self._rest.anchor = before.anchor.copy()
         self._slip = SlipWatch(None if before is None else before.friction)
-        self._watch = Watch(sensor.markers.points[:, :2])
+        self._watch = EventWatch(sensor.markers.points[:, :2])
         dropping = self._live if drop is None else bool(drop)
         rooms = {**ROOM, **(NEWEST if dropping else {})}
         self._queues = {name: Waiting[_Item](room, drop=dropping) for name, room in rooms.items()}

@@ -88,7 +88,7 @@ def point_cloud(force: ForceMap) -> dict[str, Any]:
 
 
 # -- to many listeners ------------------------------------------------------------------------------------------------
-class Listeners:
+class LineListeners:
     """Texts to any number of listeners, each in a thread of its own: one that is slow misses the oldest."""
 
     def __init__(self, room: int = ROOM) -> None:
@@ -154,7 +154,7 @@ class LineServer:
     """
 
     def __init__(self, port: int) -> None:
-        self.listeners = Listeners()
+        self.listeners = LineListeners()
         handler = type("Handler", (_Lines,), {"listeners": self.listeners})
         try:
             self._server = _Server(("127.0.0.1", port), handler)
@@ -181,7 +181,7 @@ class _Server(ThreadingTCPServer):
 
 
 class _Lines(StreamRequestHandler):
-    listeners: Listeners
+    listeners: LineListeners
 
     def handle(self) -> None:
         """Lines until the listener leaves."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from .._arrays import Array
 from .._results.forcemap import ForceMap
 from ._frame import LiveFrame
-from ._messages import Listeners, message, taken
+from ._messages import LineListeners, message, taken
 
 LOCAL = ("127.0.0.1", "localhost")
 RATE = 30.0  # pictures a second, at most
@@ -46,12 +46,12 @@ class Viewer:
     """
 
     def __init__(self, port: int = 0, *, rate: float = RATE) -> None:
-        self.listeners = Listeners(room=2)
+        self.listeners = LineListeners(room=2)
         self._least, self._last = 1 / rate, -np.inf
         self._drawn: _Drawn | None = None
-        handler = type("Handler", (_Handler,), {"viewer": self})
+        handler = type("Handler", (_PageHandler,), {"viewer": self})
         try:
-            self._http = _Http(("127.0.0.1", port), handler)
+            self._http = _PageServer(("127.0.0.1", port), handler)
         except OSError as error:
             raise taken("--view", port, error) from None
         self.address = f"http://127.0.0.1:{self._http.server_address[1]}/"
@@ -127,14 +127,14 @@ def _bytes(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
-class _Http(ThreadingHTTPServer):
+class _PageServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Who looked has left."""
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _PageHandler(BaseHTTPRequestHandler):
     viewer: Viewer
     timeout = 10  # s for a request
 

@@ -14,7 +14,7 @@ import h5py
 import pytest
 
 from loadid._serve import plan
-from loadid._serve.live import Live
+from loadid._serve.live import LiveStructure
 from loadid._serve.metrics import Endpoint, health
 from loadid._serve.server import Server
 from loadid._stream.following import Following
@@ -331,7 +331,7 @@ def test_a_table_that_cannot_be_synced_is_an_error_in_words(tmp_path: Path, monk
 
     with server(tmp_path, "log.csv") as one:
         one.round()
-        live: Live = one.lives["mast"]
+        live: LiveStructure = one.lives["mast"]
         with monkeypatch.context() as patch:
             patch.setattr("loadid._stream.output.os.fsync", full)
             with pytest.raises(InputError, match="output cannot be written"):
@@ -351,9 +351,9 @@ def test_a_long_journal_is_tracked_a_piece_at_a_time(tmp_path: Path, monkeypatch
             rounds(one, lambda: rows(tmp_path) == 1500, "the rows")
             client.disconnect()
             client.loop_stop()
-        most, real = [], Live.take
+        most, real = [], LiveStructure.take
         monkeypatch.setattr(
-            Live, "take", lambda self, own: (most.append(sum(len(e.data) for e in own)), real(self, own))[1]
+            LiveStructure, "take", lambda self, own: (most.append(sum(len(e.data) for e in own)), real(self, own))[1]
         )
         with server(tmp_path, source) as one:
             assert one.lives["mast"].rows == 1500

@@ -17,7 +17,7 @@ from structures.errors import InputError
 from tactile import Press
 from tactile._results.forcemap import Contact, ForceMap, Vector
 from tactile.live import Friction, Live, LiveEvent, LiveFrame
-from tactile.live._events import Watch
+from tactile.live._events import EventWatch
 from tactile.live._loop import Waiting
 from tactile.live._slip import SlipWatch, slip_map
 from tactile.live._zero import Rest
@@ -381,7 +381,7 @@ def test_each_event_begins_and_ends_once() -> None:
         (20, usual, hand, None), (20, usual, none, None), (20, usual, strewn, None), (20, usual, none, None),
         (2, usual, none, "moved"), (10, usual, none, None), (20, usual, none, "moved"), (20, usual, none, None),
     ]  # fmt: skip
-    watch, found, number = Watch(places), [], 0
+    watch, found, number = EventWatch(places), [], 0
     for count, image, lost, moved in day:
         for _ in range(count):
             number += 1
@@ -395,7 +395,7 @@ def test_each_event_begins_and_ends_once() -> None:
 
 
 def test_light_that_changes_slowly_or_stays_after_a_zero_is_the_usual_one() -> None:
-    watch, none = Watch(markers()), np.zeros(len(markers()), bool)
+    watch, none = EventWatch(markers()), np.zeros(len(markers()), bool)
     slow = [np.full((16, 16), 100 + 0.05 * k) for k in range(1500)]
     assert [e for k, image in enumerate(slow) for e in watch.seen(k, k, image, none, None, False)] == []
     dark = np.full((16, 16), 60.0)
