@@ -33,6 +33,7 @@ from .._sensors.gelslim import GelSlim
 from .._sensors.linear import MultilayerPad
 from .._sensors.marked import FEWEST, ContactLaw
 from .._sensors.posing import RULES, chosen
+from .._sensors.prior import penalty
 from ._sources import DepthMaps, MarkerSource, depth_maps, look
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def _sensor(
     choice = contact.get("lam")
     fixed = None if choice is None or isinstance(choice, str) else float(choice)
     built = MultilayerPad(
-        pad, choice=choice if fixed is None else fixed, penalty=contact.get("penalty", "identity"), **given,
+        pad, choice=choice if fixed is None else fixed, penalty=penalty(contact), **given,
     )  # fmt: skip
     return built, fixed
 
@@ -201,12 +202,16 @@ def _choose(built: Any, tracked: _Tracked, maps: DepthMaps | None, source: str) 
     """Lambda on the strongest frames together, frozen, in words; where no rule is set, as the sensors choose it."""
     readings, used = _strongest(built, tracked, maps)
     family, ruled = built.family, built.family.choice
-    family.choice = ruled or RULES[0]
-    found = family.estimate(readings)
-    family.choice = ruled
-    choice = found.choice
-    rule = choice.rule if ruled else chosen(choice, np.size(found.response))
-    lam = float(choice.lam if ruled else next(r.lam for r in choice.rules if r.rule == rule))
+    if built.problem is not None:
+        choice = built.choice_on(readings)
+        rule, lam = choice.rule, float(choice.lam)
+    else:
+        family.choice = ruled or RULES[0]
+        found = family.estimate(readings)
+        family.choice = ruled
+        choice = found.choice
+        rule = choice.rule if ruled else chosen(choice, np.size(found.response))
+        lam = float(choice.lam if ruled else next(r.lam for r in choice.rules if r.rule == rule))
     family.calibration = Calibration(
         lam=lam, rule=rule, records=(used,), alone=(lam,), spread=0.0, verdict=choice.verdict,
         sigma_source=source, date=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -228,6 +233,8 @@ def _strongest(built: Any, tracked: _Tracked, maps: DepthMaps | None) -> tuple[A
         return np.array([y for _, y in chosen]), f"the strongest whole frames ({names})"
     labels = [s.label for s in built.model.sensors]  # in no frame is every marker seen: one speaks with what it has
     y = read(order[0])
+    if built.problem is not None:
+        return y, f"frame {tracked.numbers[order[0]] + 1}"
     seen = {name: float(v) for name, v in zip(labels, y, strict=True) if np.isfinite(v)}
     return seen, f"frame {tracked.numbers[order[0]] + 1}"
 

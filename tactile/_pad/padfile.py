@@ -76,11 +76,11 @@ pressed = "negative"            # sign of a pressed place
 no_pull = false
 # friction = 0.8
 # lam = 0.007                   # relative lambda, or its rule; chosen on the strongest frames if left out
-# penalty = "identity"
+# penalty = "identity"          # a ridge; "gradient", "laplacian"; without it loads are taken to be contacts
 """
 TABLES = ("pad", "camera", "markers", "depth", "contact")
 METHODS = ("parabola", "centroid")
-PENALTIES = ("identity", "gradient", "laplacian")
+PENALTIES = ("contact", "identity", "gradient", "laplacian")
 SHAPES, RIMS = ("block", "dome"), outline.RIMS
 ELEMENTS = ("bbar", "standard", "incompatible")
 

@@ -261,6 +261,13 @@ class LinearSensor(MarkedSensor):
 
         return off
 
+    def choice_on(self, y: Array) -> Choice:
+        """Lambda of readings (m,) or (frames, m) under a contact prior, of those that all frames have."""
+        frames = np.array([self._steady(v) for v in np.atleast_2d(y)])
+        seen = np.asarray(np.isfinite(frames).all(axis=0))
+        family = self.family if seen.all() else fewer(self.family, self._named(seen))
+        return chosen_on(family, frames[0, seen] if len(frames) == 1 else frames[:, seen])
+
     def pressed(self, y: Array) -> Pressed:
         """Load of readings (m,) that only presses, within its friction cone if there is one, in the region of contact.
 
@@ -339,8 +346,7 @@ class LinearSensor(MarkedSensor):
     def _chosen(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
         """The map at a lambda that is chosen on this frame, under a contact prior."""
         seen = np.isfinite(y)
-        family = self.family if seen.all() else fewer(self.family, self._named(seen))
-        choice = chosen_on(family, self._steady(y)[seen])
+        choice = self.choice_on(y)
         found = self._mapped(self._new_map(self._deep(y), choice), y, wrench, flags)
         rest = y - self.model.H @ found.load[self._columns]
         if found.facts.image is not None and self.problem is not None and self.problem.motion is not None:

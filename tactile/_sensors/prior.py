@@ -13,8 +13,10 @@ found of a press is what its prior says of it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -72,6 +74,12 @@ class ContactPrior:
         C = self.correlation(cdist(places, places), thickness)
         C[np.diag_indices_from(C)] += NUGGET
         return PosedPrior(C, np.array([self.shear**2, self.shear**2, 1.0]))
+
+
+def penalty(contact: Mapping[str, Any]) -> Any:
+    """The penalty that the table ``[contact]`` of a pad file names: a contact prior by default, or a word."""
+    word = contact.get("penalty", "contact")
+    return ContactPrior() if word == "contact" else word
 
 
 @lru_cache(maxsize=16)

@@ -20,6 +20,7 @@ from .._pad import padfile
 from .._pad.pad import Pad
 from .._sensors.linear import MultilayerPad
 from .._sensors.marked import ContactLaw
+from .._sensors.prior import penalty
 from ..vision._eye import Eye
 from ..vision._frames import Frames, each, frames
 from ._loop import Live
@@ -83,7 +84,7 @@ def start(
         eye = _first(coming, unloaded, found, body, codes)
     chosen = contact.get("lam")
     sensor = MultilayerPad(
-        body, eye=eye, penalty=contact.get("penalty", "identity"), allow=[c for c in codes if c in GUARDS],
+        body, eye=eye, penalty=penalty(contact), allow=[c for c in codes if c in GUARDS],
         contact=ContactLaw(contact.get("no_pull", False), contact.get("friction")),
         choice=before.lam if chosen is None and before is not None else chosen,
     )  # fmt: skip
