@@ -129,7 +129,9 @@ class ForceMap(LoadEstimate):
             for n in ("load", "std", "response", "residual")
         }
         spread = self._covariance if self._covariance.ndim == 2 else self._covariance[index]
-        return replace(self, axis=None, geometry={**self._geometry, "resultant_covariance": spread}, **cut)
+        noise = self._geometry.get("noise_std")
+        own = {} if noise is None else {"noise_std": noise if np.ndim(noise) == 1 else noise[index]}
+        return replace(self, axis=None, geometry={**self._geometry, "resultant_covariance": spread, **own}, **cut)
 
     def forces(self) -> Array:
         """Consistent nodal forces (..., P, 3) in N."""
@@ -338,6 +340,7 @@ def record(
     known = list(range(1, len(frames) + 1)) if numbers is None else [int(n) for n in numbers]
     assert first.geometry is not None
     spread = np.array([f.geometry["resultant_covariance"] for f in frames if f.geometry is not None])
+    noise = np.array([f.geometry.get("noise_std", f.std) for f in frames if f.geometry is not None])
     return ForceMap(
         load=np.array([f.load for f in frames]),
         std=np.array([f.std for f in frames]),
@@ -350,7 +353,7 @@ def record(
         certificate=first.certificate,
         choice=first.choice if all(f.choice is first.choice for f in frames) else None,
         provenance=first.provenance,
-        geometry={**first.geometry, "resultant_covariance": spread},
+        geometry={**first.geometry, "resultant_covariance": spread, "noise_std": noise},
         facts=_facts([f.facts for f in frames]),
     )
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from .._results import forcemap
 from .._results.forcemap import ForceFacts
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
-from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, met, prepare
+from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
 from .marked import ContactLaw
 from .observation import Markers, Wrench
 
@@ -130,6 +131,7 @@ class Consistency:
         return z[:count], gone[:count], np.where(gone[:count], 0.0, rest)
 
 
+WIDER = 1.2  # times the stated noise, from which it is taken for wrong
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
 CLEAR = 2.0  # stds of the unconstrained map
 
@@ -210,33 +212,40 @@ class QuickMap:
         """Under a contact prior, which knows how far the model may be off, beside the motion of the whole image."""
         inverse, (steady, shift) = self.inverse, self._steadied(y)
         steady, strays, misfit = self.consistency.checked(steady)
-        if strays:
-            steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan))
-        wide, answer = max(1.0, misfit), inverse(steady)
-        found = self.pressed(steady, wrench, answer) if self.contact.constrains else None
+        wide = max(1.0, misfit)
+        if strays or wide > WIDER:  # without the strays, and by the noise that there is
+            steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan), wide)
+        answer = inverse(steady)
+        found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
         variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
         if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is
             variance = variance + np.maximum(answer.std**2 - inverse.std**2, 0.0)
             covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
         if shift is not None and self.image is not None:
-            moved = self.image.open(shift)
+            moved = wide * self.image.open(shift)
             felt = inverse.resultant @ moved
             variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
         if wrench is not None:
             force, covariance = met(inverse.resultant @ load, covariance, wrench)
-            load = load if found is not None else band.corrected(load, force)
+            if found is None:
+                load = band.corrected(load, force)
+            else:
+                found = self.pressed(steady, held(force, wrench, self.contact.friction), answer)
+                load = found.load
+                apart = inverse.resultant @ load - force
+                covariance = covariance + np.outer(apart, apart)
         flags = [guards.unseen(self.recovery) if wrench is None else None]
         if found is None and wrench is None:
             covariance = covariance + self._blind(inverse.resultant @ load)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift)
         return replace(done, noise=wide * np.sqrt(band.noise))
 
-    def _steadied(self, y: Array) -> tuple[Array, ImageShift | None]:
+    def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""
         if self.image is None:
             return y, None
-        shift = self.image(y)
+        shift = self.image(y, wide)
         return self.image.steadied(y, shift), shift
 
     def _answered(
@@ -298,10 +307,9 @@ class QuickMap:
         if self._solver is None:
             inverse, problem = self.inverse, self.problem
             if problem is not None:
-                x = inverse.lam * inverse.scale
+                weights = partial(problem.weights, inverse.lam * inverse.scale)
                 self._solver = RegionSolver(
-                    problem.whitened, lambda nodes: x * problem.prior.penalty(nodes), inverse.resultant,
-                    self.neighbours, self.contact.friction,
+                    problem.whitened, weights, inverse.resultant, self.neighbours, self.contact.friction,
                 )  # fmt: skip
                 return self._solver
             if self.family.L is not None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,8 +29,9 @@ from loadid._inverse.problem import NoiseSourceLike
 from loadid.settings import Noise
 from structures._channels import Channel
 from structures._models.arrays import MatrixModel
+from structures.errors import InputError
 
-from .._arrays import Array, Mask
+from .._arrays import Array, Index, Mask
 from .inversion import LARGE, Inverse
 from .prior import PosedPrior
 
@@ -63,6 +64,26 @@ class ModelError:
     def of_mesh(self) -> bool:
         """Whether it is another error for every load, as that of a mesh; not one for all, as that of a modulus."""
         return self.name == MESH
+
+
+@dataclass(eq=False)
+class Errors:
+    """Errors of a model, found when they are first asked for; of some readings (`rows`) and loads (`columns`)."""
+
+    find: Callable[[], Sequence[ModelError]]
+    rows: Any = None
+    columns: Any = None
+    _found: list[ModelError] | None = None
+
+    def __call__(self) -> list[ModelError]:
+        """All of them."""
+        if self._found is None:
+            self._found = [replace(e, change=self._cut(e.change)) for e in self.find()]
+        return self._found
+
+    def _cut(self, change: Array) -> Array:
+        cut = change if self.rows is None else change[self.rows]
+        return np.asarray(cut if self.columns is None else cut[:, self.columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +147,10 @@ class ForceBand:
     def _noisy(self) -> Array:
         return np.asarray(self.asked @ self.asked.T)
 
-    def loaded(self, load: Array) -> Mask:
+    def loaded(self, load: Array, wide: float = 1.0) -> Mask:
         """Nodes (P,) that carry a load (n,): clear of noise, and no small share of the largest."""
         size = (load**2 / (np.maximum(self.found, SEEN) * self.prior.variance)).reshape(-1, 3).sum(axis=1)
-        chance = (load**2 / self.noise).reshape(-1, 3).max(axis=1)
+        chance = (load**2 / (wide**2 * self.noise)).reshape(-1, 3).max(axis=1)
         return np.asarray((size > SHARE**2 * size.max(initial=0.0)) & (chance > CLEAR**2))
 
     def std(self, load: Array, wide: float) -> Array:
@@ -159,7 +180,8 @@ class ForceBand:
 
     def corrected(self, load: Array, force: Array) -> Array:
         """The load (n,) whose resultant is `force` (6,), changed where there is a load, as much as it is large."""
-        R, root = self.resultant, np.sqrt(self.sizes(load))
+        R, sizes = self.resultant, self.sizes(load)
+        root = np.sqrt(sizes) if np.any(sizes) else np.ones(len(load))
         local = root[:, None] * self.prior.times(R * root).T
         S = R @ local
         size = np.sqrt(np.maximum(np.diag(S), np.finfo(float).tiny))
@@ -208,7 +230,7 @@ class GaussianProblem:
         return GaussianProblem(
             self.H[kept], [self.sensors[i] for i in kept], self.noise[kept], self.prior,
             None if self.motion is None else self.motion.of(kept),
-            cache(lambda: [replace(e, change=e.change[kept]) for e in self.errors()]), self.resultant, self.near,
+            Errors(self.errors, rows=kept), self.resultant, self.near,
         )  # fmt: skip
 
     @cached_property
@@ -255,8 +277,21 @@ class GaussianProblem:
             noise=Noise(source=source), allow=list(allow),
         )  # fmt: skip
 
+    def weights(self, x: float, nodes: Index) -> Array:
+        """L (3 k, 3 k) of the tractions at some nodes, times an absolute lambda."""
+        return x * self.prior.penalty(nodes)
+
     def inverse(self, lam: float, rule: str) -> Inverse:
-        """One product from readings to loads, at a relative lambda, and its band."""
+        """One product from readings to loads, at a relative lambda, and its band.
+
+        Raises
+        ------
+        InputError
+            A lambda that is not positive: the prior would be without bound.
+        """
+        if not lam > 0:
+            raise InputError("a contact prior takes a lambda above zero", where="choice", found=lam,
+                             expected="> 0, or None", hint='penalty="identity" takes any')  # fmt: skip
         H, x = self.whitened, lam * self.scale
         HC, K, made = self._spread
         S = made + x**2 * np.eye(len(K))

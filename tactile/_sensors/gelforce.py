@@ -183,6 +183,8 @@ class GelForce(LinearSensor):
 
     def at(self, lam: float) -> Inverse:
         """The frozen inverse at another relative lambda."""
+        if self.problem is not None:
+            return self.problem.inverse(float(lam), "given")
         return prepare(self.family, self.resultant, float(lam))
 
 

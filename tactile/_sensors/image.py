@@ -19,6 +19,7 @@ from scipy.linalg import solve_triangular
 from structures.errors import positive
 
 from .._arrays import Array, Index, Mask
+from .._guards import MOVED
 from .inversion import Inverse
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ NOISE = 0.5  # of the noise of one marker
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
-KEPT = 24  # regions
+KEPT = 64  # regions
+SEEN = 1e4  # stds of the noise: no motion of a marker is larger
 FREE = 10.0  # times the std of the average over the pad: loads where there is a contact
 
 
@@ -174,23 +176,23 @@ class ImageFit:
         self.moved = self.motion.columns / self.problem.noise[:, None]  # whitened readings per unit
         self.loads = np.asarray(self.inverse.matrix @ self.moved, float)  # what the map makes of a unit
 
-    def __call__(self, y: Array) -> ImageShift:
-        """Of readings (m,), NaN where lost."""
+    def __call__(self, y: Array, wide: float = 1.0) -> ImageShift:
+        """Of readings (m,), NaN where lost, whose noise is `wide` times as large as stated."""
         a, told = self.motion.typical(y), None
-        load, steady = self._of(y)
-        seen = np.where(np.isfinite(y), y, 0.0) / self.problem.noise
-        lost = np.flatnonzero(~np.isfinite(y))
+        z = self.inverse.filled(y - self.motion.columns @ a)[0]  # a lost marker moves as the others say
+        seen = z + self.moved @ a
+        load = np.asarray(self.inverse.matrix @ seen.astype(self.inverse.matrix.dtype, copy=False), float)
         for _ in range(ROUNDS):
-            before, told = told, self._told(self._loaded(load - steady @ a), lost)
+            before, told = told, self._told(self._loaded(load - self.loads @ a, wide))
             if told is before:
                 break
             a = told.rows @ seen
         assert told is not None
-        covariance, load = told.covariance, load - steady @ a
+        covariance, load = told.covariance, load - self.loads @ a
         for error in told.errors:
             one = error @ load
-            covariance = covariance + np.outer(one, one)
-        return self._shift(a, covariance, y)
+            covariance = covariance + np.outer(one, one) / wide**2
+        return self._shift(a, covariance, y, wide)
 
     def steadied(self, y: Array, found: ImageShift) -> Array:
         """Readings (m,) without what moved all of them."""
@@ -200,31 +202,21 @@ class ImageFit:
         """Loads (n, q) whose outer products are what the image's motion leaves open of the map."""
         return self.loads @ np.linalg.cholesky(found.covariance)
 
-    def _of(self, y: Array) -> tuple[Array, Array]:
-        """The load (n,) of readings as they are, and what the map makes (n, q) of a unit of each motion in them."""
-        z, lost = self.inverse.filled(y)
-        load = np.asarray(self.inverse.matrix @ z.astype(self.inverse.matrix.dtype, copy=False), float)
-        if not lost.size:
-            return load, self.loads
-        gone = np.where(np.isfinite(y), 0.0, np.nan)
-        columns = [self.inverse.filled(column + gone)[0] for column in self.motion.columns.T]
-        both = np.array(columns).reshape(-1, len(y)).T
-        return load, np.asarray(self.inverse.matrix @ both, float)
-
-    def _loaded(self, load: Array) -> Mask:
+    def _loaded(self, load: Array, wide: float) -> Mask:
         """Nodes that carry a load (P,)."""
         assert self.inverse.band is not None
-        return self.inverse.band.loaded(load)
+        return self.inverse.band.loaded(load, wide)
 
-    def _told(self, loaded: Mask, lost: Index) -> _Told:
+    def _told(self, loaded: Mask) -> _Told:
         """What tells the motion while these nodes are loaded: alike for all of the same blocks."""
         blocks = np.isin(self._blocks, self._blocks[loaded])
-        key = blocks.tobytes() + lost.tobytes()
+        key = blocks.tobytes()
         found = self._known.get(key)
         if found is None:
-            if len(self._known) > KEPT:
-                self._known.clear()
-            found = self._known[key] = self._fitted(blocks, lost)
+            found = self._fitted(blocks)
+            while len(self._known) >= KEPT:
+                self._known.pop(next(iter(self._known)), None)
+            self._known[key] = found
         return found
 
     @cached_property
@@ -241,18 +233,20 @@ class ImageFit:
             return np.flatnonzero(loaded)
         return np.flatnonzero(cKDTree(self.places[loaded]).query(self.places)[0] <= NEAR * self.thickness)
 
-    def _fitted(self, loaded: Mask, lost: Index) -> _Told:
+    def _fitted(self, loaded: Mask) -> _Told:
         nodes = self._near(loaded)
         problem, std = self.problem, self.motion.std
         unknown = [self.moved * std]
         if nodes.size:
-            modes = FREE / (self.inverse.lam * self.inverse.scale) * problem.prior.modes(nodes, MODES)
+            modes = problem.prior.modes(nodes, MODES)
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-            unknown.append(problem.whitened[:, columns] @ modes)
+            made = problem.whitened[:, columns] @ modes
+            free = min(FREE / (self.inverse.lam * self.inverse.scale), SEEN / float(np.abs(made).max()))
+            modes = free * modes
+            unknown.append(free * made)
             unknown += [error.change[:, columns] @ (error.weight * modes) / problem.noise[:, None]
                         for error in problem.errors() if error.of_mesh]  # fmt: skip
         A = np.hstack(unknown)
-        A[lost] = 0.0
         Q, R = np.linalg.qr(np.vstack([A, np.eye(A.shape[1])]))
         back = solve_triangular(R, np.eye(len(R))[:, : len(std)], trans="T").T * std[:, None]  # std R^-1
         rows = back @ Q[: len(A)].T
@@ -260,13 +254,17 @@ class ImageFit:
         errors = np.array(gel).reshape(-1, len(std), problem.H.shape[1])
         return _Told(rows, back @ back.T, errors)
 
-    def _shift(self, a: Array, covariance: Array, y: Array) -> ImageShift:
+    def _shift(self, a: Array, covariance: Array, y: Array, wide: float) -> ImageShift:
+        """What stands clear of chance; the rest is no motion: a camera stands still until something says otherwise."""
         motion, rigid = self.motion, slice(0, FREEDOMS)
-        std = np.sqrt(np.diag(covariance)[rigid])
-        told, together = a[rigid] / std, covariance[rigid, rigid] / np.outer(std, std)
-        ratio = float(told @ np.linalg.lstsq(together, told, rcond=1e-10)[0]) / FREEDOMS
+        std = np.sqrt(np.diag(covariance))
+        told, together = (a / std)[rigid], covariance[rigid, rigid] / np.outer(std[rigid], std[rigid])
+        ratio = float(told @ np.linalg.lstsq(together, told, rcond=1e-10)[0]) / FREEDOMS / wide**2
+        sure = np.ones(len(a), bool)  # an offset is asked for where there is one
+        sure[rigid] = ratio > MOVED
         marked = np.any(motion.columns[:, rigid], axis=1) & np.isfinite(y)
         size = float(np.sqrt(np.mean((motion.columns[marked, rigid] @ a[rigid]) ** 2)))
         noise = float(np.sqrt(np.mean(self.problem.noise[marked] ** 2)))
-        chance = max(NOISE * noise, ERRING * float(np.abs(y[marked]).max(initial=0.0)))
-        return ImageShift(a, covariance, ratio, size, chance)
+        chance = max(NOISE * wide * noise, ERRING * float(np.abs(y[marked]).max(initial=0.0)))
+        left = np.where(sure, 0.0, a) / wide
+        return ImageShift(np.where(sure, a, 0.0), covariance + np.outer(left, left), ratio, size, chance)

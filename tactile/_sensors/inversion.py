@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .gaussian import ForceBand
 
 
+CARRIED = 0.98  # of the shear that a friction allows, on all of a contact at once
 LARGE = 4_000_000  # entries from which the products run in single precision: 1e-6 of the load, half the memory traffic
 
 
@@ -149,6 +150,15 @@ def met(force: Array, covariance: Array, wrench: Wrench) -> tuple[Array, Array]:
     S = covariance[:k, :k] if wrench.std is None else covariance[:k, :k] + np.diag(wrench.std**2)
     gain = _gain(S, covariance[:, :k])
     return force + gain @ (value - force[:k]), covariance - gain @ covariance[:k]
+
+
+def held(force: Array, wrench: Wrench, friction: float | None) -> Wrench:
+    """What a contact that only presses is asked to carry exactly: the resultant (6,), or the nearest that it can."""
+    f = np.array(force[:3])
+    f[2] = min(f[2], 0.0)
+    shear, most = float(np.hypot(*f[:2])), np.inf if friction is None else -CARRIED * friction * f[2]
+    f[:2] *= min(1.0, most / shear) if shear > 0 else 1.0
+    return Wrench(f, None if wrench.torque is None else np.array(force[3:]))
 
 
 def _gain(S: Array, P: Array) -> Array:

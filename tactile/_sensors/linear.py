@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -27,7 +27,7 @@ from .._pad.tolerances import Tolerances
 from .._results.forcemap import ForceFacts, ForceMap
 from .errors import errors
 from .fixed import QuickMap, whole_motion
-from .gaussian import GaussianProblem, ModelError, around
+from .gaussian import Errors, GaussianProblem, ModelError, around
 from .image import ImageMotion
 from .inversion import Inverse, Pressed, prepare
 from .marked import FEWEST, ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
@@ -61,6 +61,11 @@ if TYPE_CHECKING:
 AROUND = 0.2  # thicknesses about a node within which a load is taken to be of one size
 
 
+def exact(transfer: Array, parts: Sequence[Any]) -> Sequence[ModelError]:
+    """No errors of a model that is taken to be exact."""
+    return ()
+
+
 @dataclass(frozen=True, eq=False)
 class PressedBody:
     """What is pressed (a pad, layer or half-space), and how loads on it move its markers.
@@ -78,7 +83,7 @@ class PressedBody:
     basis: Any = None
     flags: Sequence[Flag] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
-    errors: Callable[[Array, Sequence[Any]], Sequence[ModelError]] = lambda transfer, parts: ()
+    errors: Callable[[Array, Sequence[Any]], Sequence[ModelError]] = exact
 
 
 class LinearSensor(MarkedSensor):
@@ -137,7 +142,7 @@ class LinearSensor(MarkedSensor):
                 self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
             )
         else:
-            self.problem = self._posed(self.prior, image, lambda: body.errors(whole, parts))
+            self.problem = self._posed(self.prior, image, partial(body.errors, whole, parts))
             self.family = self.problem.family(choice, noise_source, allow)
         self._quick: dict[bool, QuickMap] = {}
 
@@ -151,13 +156,10 @@ class LinearSensor(MarkedSensor):
         """The problem of all readings under a contact prior."""
         places = self.geometry["coordinates"][self.kept[::3] // 3]
 
-        @cache
-        def found() -> list[ModelError]:
-            return [replace(e, change=np.asarray(e.change[:, self.kept])) for e in errors()]
-
         return GaussianProblem(
             self.model.H, self.model.sensors, np.array([s.noise for s in self.model.sensors], float),
-            prior.on(places, self._thick), None if image is None else image.over(self.markers, self.depth), found,
+            prior.on(places, self._thick), None if image is None else image.over(self.markers, self.depth),
+            Errors(errors, columns=self.kept),
             self.resultant, around(places, AROUND * self._thick),
         )  # fmt: skip
 
@@ -230,15 +232,21 @@ class LinearSensor(MarkedSensor):
                 "no frames to calibrate with", where="calibrate", found=f"{len(listed)} frames",
                 expected="presses in which the same markers are seen", hint="press where few markers vanish",
             )  # fmt: skip
-        self._quick = {}
-        self.__dict__.pop("_provenance", None)
+        found = [self._steady(y)[seen] for y in listed]
+        off = None if wrenches is None else self._off(seen, listed, wrenches, len(frames))
+        before = self.family.calibration, self.family.choice
         self.family.calibration = None
         if isinstance(self.family.choice, int | float):
             self.family.choice = None  # presses tell more than the number that was given
-        family = self.family if whole else fewer(self.family, self._named(seen))
-        found = [self._steady(y)[seen] for y in listed]
-        off = None if wrenches is None else self._off(seen, listed, wrenches, len(frames))
-        self.family.calibration = calibrated(family, found) if self.problem is None else together(family, found, off)
+        try:
+            family = self.family if whole else fewer(self.family, self._named(seen))
+            told = calibrated(family, found) if self.problem is None else together(family, found, off)
+        except Exception:
+            self.family.calibration, self.family.choice = before
+            raise
+        self.family.calibration = told
+        self._quick = {}
+        self.__dict__.pop("_provenance", None)
         return self.family.calibration
 
     def _off(

@@ -267,6 +267,12 @@ def together(
     if off is not None:
         rule = min(lams, key=lambda name: off(lams[name]))
         lam = lams[rule]
+    elif all(r.edge for r in found.rules if r.rule in THREE and r.lam):
+        raise InputError(
+            "no rule for lambda finds an optimum in these frames", where="calibrate",
+            found=f"{found.rule} at the end of its range, {found.lam:.2g}", expected="presses that move the markers",
+            hint="press for calibration: unloaded frames are for zero()",
+        )  # fmt: skip
     elif (decades := _apart(list(lams.values()))) > APART:
         raise InputError(
             "the rules for lambda lie decades apart on these presses", where="calibrate",
