@@ -75,7 +75,7 @@ def shown(live: Live, frames: int, wall: float, cpu: float, word: str) -> None:
 def cost(elements: int) -> None:
     """CPU milliseconds of every part of a frame, at rest and touched: the least of five rounds of twelve."""
     from tactile.live import Recording, message, point_cloud
-    from tactile.live._events import Watch
+    from tactile.live._events import EventWatch
     from tactile.live._frame import LiveFrame
     from tactile.live._messages import line
     from tactile.live._slip import SlipWatch
@@ -92,7 +92,12 @@ def cost(elements: int) -> None:
         motions = [eye.read(image)[0] for image in images[:many]]
         image, motion = images[many - 1], motions[-1]
         y, none = sensor.markers.readings(motion), np.zeros(len(motion), bool)
-        rest, watch, slip, found = Rest(sensor, 3.0), Watch(sensor.markers.points), SlipWatch(), sensor.estimate(motion)
+        rest, watch, slip, found = (
+            Rest(sensor, 3.0),
+            EventWatch(sensor.markers.points),
+            SlipWatch(),
+            sensor.estimate(motion),
+        )
         frame = LiveFrame(1, 0.0, found, motion, True)
         drawn, number = _Drawn(found), itertools.count()
         with tempfile.TemporaryDirectory() as folder:

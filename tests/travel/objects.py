@@ -71,11 +71,13 @@ from structures._models.mapped import mapped
 from structures._system.factor import Factor
 from tactile import (
     ContactLaw,
+    ContactPrior,
     Eye,
     GelForce,
     GelMonitor,
     GelSlim,
     HalfSpace,
+    ImageMotion,
     Interpolation,
     Layer,
     LayerGrid,
@@ -86,6 +88,7 @@ from tactile import (
     Pad,
     Press,
     Sphere,
+    Tolerances,
     Wrench,
 )
 from tactile import design as skins
@@ -622,6 +625,9 @@ add("tactile/press", lambda: p.PRESS)
 add("tactile/sphere", lambda: Sphere(radius=5e-3, depth=1e-4))
 add("tactile/wrench", lambda: Wrench([0.0, 0.0, -1.0]))
 add("tactile/contact law", lambda: ContactLaw(friction=0.5))
+add("tactile/contact prior", lambda: ContactPrior(shear=0.3))
+add("tactile/image motion", lambda: ImageMotion(shift=1e-4))
+add("tactile/tolerances", lambda: Tolerances(E=0.1, nu=0.01))
 add("tactile/skin", lambda: skins.skin(h=3e-3, E=0.147e6, nu=0.3223), str)
 
 
