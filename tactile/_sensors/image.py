@@ -121,6 +121,7 @@ FREEDOMS = 4  # of an image: shift along x and y, turn, stretch
 TURNING = (2, 3)
 ROUNDS = 4
 NOISE = 0.5  # of the noise of one marker
+FAR = 0.005  # of that motion: std of such an error
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
@@ -260,11 +261,14 @@ class ImageFit:
         std = np.sqrt(np.diag(covariance))
         told, together = (a / std)[rigid], covariance[rigid, rigid] / np.outer(std[rigid], std[rigid])
         ratio = float(told @ np.linalg.lstsq(together, told, rcond=1e-10)[0]) / FREEDOMS / wide**2
-        sure = np.ones(len(a), bool)  # an offset is asked for where there is one
-        sure[rigid] = ratio > MOVED
         marked = np.any(motion.columns[:, rigid], axis=1) & np.isfinite(y)
         size = float(np.sqrt(np.mean((motion.columns[marked, rigid] @ a[rigid]) ** 2)))
         noise = float(np.sqrt(np.mean(self.problem.noise[marked] ** 2)))
-        chance = max(NOISE * wide * noise, ERRING * float(np.abs(y[marked]).max(initial=0.0)))
+        largest = float(np.abs(y[marked]).max(initial=0.0))
+        chance = max(NOISE * wide * noise, ERRING * largest)
+        sure = np.ones(len(a), bool)  # an offset is asked for where there is one
+        sure[rigid] = ratio > MOVED and size > chance
+        covariance = covariance.copy()
+        covariance[rigid, rigid] += np.diag((FAR * largest / motion.std[0] * motion.std[rigid]) ** 2)
         left = np.where(sure, 0.0, a) / wide
         return ImageShift(np.where(sure, a, 0.0), covariance + np.outer(left, left), ratio, size, chance)

@@ -172,7 +172,7 @@ def test_motions_in_a_length_need_no_camera(made: Path, tmp_path: Path) -> None:
     assert found.provided["z"] == "tracked"
     assert found.pressure().min() > -1e-6 * found.pressure().max()
     for k, press in enumerate(PRESSES):
-        assert off(found, UNLOADED + k, press) < 0.08
+        assert off(found, UNLOADED + k, press) < 0.05
 
 
 def test_the_product_of_the_stiffness(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
