@@ -165,6 +165,7 @@ def test_motions_in_px_are_read_through_the_camera(made: Path, tmp_path: Path) -
 
 def test_motions_in_a_length_need_no_camera(made: Path, tmp_path: Path) -> None:
     body = FILE[: FILE.index("[camera]")] + '[markers]\nunit = "mm"\nnoise = "0.5 um"\n'
+    body += "[contact]\npenalty = 'identity'\n"
     (tmp_path / "pad.toml").write_text(body, encoding="utf-8")
     words = ["tactile", str(made / "moved.npy"), "--pad", str(tmp_path / "pad.toml"), "-o", str(tmp_path / "d.h5")]
     assert main([*words, "--unloaded", "4", "--no-pull"]) == 0

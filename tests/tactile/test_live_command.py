@@ -38,7 +38,7 @@ STILL, HELD = 24, 8  # frames of the unloaded pad, then of a press
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A pad file, and frames as a stack and as they come through a pipe."""
     folder = tmp_path_factory.mktemp("clip")
-    (folder / "pad.toml").write_text(f"{FILE}[contact]\nlam = 0.002\n", encoding="utf-8")
+    (folder / "pad.toml").write_text(f"{FILE}[contact]\nlam = 0.002\npenalty = 'identity'\n", encoding="utf-8")
     settings = padfile.read(folder / "pad.toml")
     fine = Pad.from_settings(replace(settings, body={**settings.body, "pitch": 0.5e-3, "layers": 6}))
     scene = Scene(size=(240, 320), radius=0.22e-3, blur=1.0, noise=2.0)
