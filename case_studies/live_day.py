@@ -161,8 +161,9 @@ class Bench:
         return Eye(self.view, rest[0], unloaded=rest[1:], size=SIZE)
 
     def sensor(self, eye: Eye, lam: float | None = None) -> MultilayerPad:
-        """A sensor on this pad; lambda chosen on two presses, or as it was."""
-        made = MultilayerPad(self.pad, eye=eye, depth=self.depth(np.zeros(self._shape), 0), choice=lam)
+        """A sensor on this pad, with a ridge; lambda chosen on two presses, or as it was."""
+        deep = self.depth(np.zeros(self._shape), 0)
+        made = MultilayerPad(self.pad, eye=eye, depth=deep, choice=lam, penalty="identity")
         if lam is None:
             seen, depths = [], []
             for k, press in enumerate((_press(0.6, (0.1, 0.0)), _press(0.4, (0.0, 0.15)))):
