@@ -287,18 +287,13 @@ class QuickMap:
             y = self._steadied(y)[0]
             answer = self.inverse(y)
         if self.inverse.band is not None and wrench is None:
-            return self._region.solve(self._readings(y), self.inverse.band.loaded(answer.load), wrench, answer)
+            touched = self.inverse.band.loaded(answer.load)
+            return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
         pressure, spread = -answer.load[2::3], answer.std[2::3]
         touched = pressure > TOUCH * pressure.max()
         if wrench is None:
             touched &= pressure > CLEAR * spread
-        return self._region.solve(self._readings(y), touched, wrench, answer)
-
-    def _readings(self, y: Array) -> Array:
-        """Readings (m,) as the constrained problem takes them: white, errors of the model beside the noise."""
-        if self.problem is None:
-            return y / self.inverse.noise
-        return self.problem.white(self.inverse.lam * self.inverse.scale, self.inverse.filled(y)[0])
+        return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
 
     def _blind(self, resultant: Array) -> Array:
         """Variance of a normal force that the readings hardly see: as large as what they may hide."""
@@ -312,10 +307,9 @@ class QuickMap:
         if self._solver is None:
             inverse, problem = self.inverse, self.problem
             if problem is not None:
-                x = inverse.lam * inverse.scale
+                weights = partial(problem.weights, inverse.lam * inverse.scale)
                 self._solver = RegionSolver(
-                    problem.white(x, problem.whitened), partial(problem.weights, x), inverse.resultant,
-                    self.neighbours, self.contact.friction,
+                    problem.whitened, weights, inverse.resultant, self.neighbours, self.contact.friction,
                 )  # fmt: skip
                 return self._solver
             if self.family.L is not None:

@@ -17,12 +17,12 @@ derivatives.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from loadid._families.static import StaticInversion
 from loadid._inverse.problem import NoiseSourceLike
@@ -223,7 +223,6 @@ class GaussianProblem:
     errors: Callable[[], Sequence[ModelError]]
     resultant: Array
     near: Any
-    _factor: tuple[float, Array] | None = field(default=None, init=False, repr=False)
 
     def on(self, rows: Any) -> GaussianProblem:
         """The problem of some readings, a mask or a slice."""
@@ -277,14 +276,6 @@ class GaussianProblem:
             MatrixModel(roots, sensors=list(self.sensors), loads=loads), penalty="identity", choice=choice,
             noise=Noise(source=source), allow=list(allow),
         )  # fmt: skip
-
-    def white(self, x: float, values: Array) -> Array:
-        """Readings over their noise (m,) or (m, n), in which noise and errors of the model together are white."""
-        if self._factor is None or self._factor[0] != x:
-            _, K, made = self._spread
-            object.__setattr__(self, "_factor", (x, np.linalg.cholesky(np.eye(len(K)) + (made - K) / x**2)))
-        assert self._factor is not None
-        return np.asarray(solve_triangular(self._factor[1], values, lower=True, check_finite=False))
 
     def weights(self, x: float, nodes: Index) -> Array:
         """L (3 k, 3 k) of the tractions at some nodes, times an absolute lambda."""
