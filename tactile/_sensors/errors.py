@@ -1,9 +1,9 @@
 """What a pad's model may be wrong by: its mesh, and the modulus, Poisson's ratio and thickness that it was built with.
 
-The mesh errs by a share of what the same pad with twice the pitch and half the layers differs from it: a half to a
-third, under presses of 0.2 to 1 thickness on truths of other meshes. In the estimate the whole of that difference
-counts: so far lambda does not matter much (the map's error, over that at the best lambda, is 1.2 in 95 % of the cases,
-2.2 without). Derivatives by nu and thickness are those of the coarser pad, whose error they do not share.
+The mesh errs by a share of what the same pad with twice the pitch and half the layers differs from it. In the band that
+share is `REFINED`; in the estimate the whole of the difference counts, without which every rule for lambda follows the
+mesh (`python -m tests.campaigns tactile` prints what both are worth). Derivatives by nu and thickness are those of the
+coarser pad, whose error they do not share.
 """
 
 from __future__ import annotations

@@ -98,10 +98,10 @@ class ErrorRows:
 class ForceBand:
     """How far loads may be off that were found by one product: variances by noise, by what is unseen, by the model.
 
-    `resultant` (6, n) is that of unit loads. `noise` (n,) is the variance by noise, `unseen` (n,) that
-    of a unit of prior variance, `found` (n,) the share of such a unit that is found. `asked` (6, m) are resultants;
-    `missed` (6, n) is what they lack of a load, `errors` what errors of the model make of it. `near` gives, for the
-    nodes of the surface, those around them.
+    `resultant` (6, n) is that of unit loads. `noise` (n,) is the variance by noise, `unseen` (n,) that of a unit of
+    prior variance, `found` (n,) the share of such a unit that is found. `asked` (6, m) are resultants of whitened
+    readings; `missed` (6, n) is what they lack of a load, `errors` what errors of the model make of it. `near` gives,
+    for the nodes of the surface, those around them.
     """
 
     prior: PosedPrior
@@ -227,6 +227,8 @@ class GaussianProblem:
     def on(self, rows: Any) -> GaussianProblem:
         """The problem of some readings, a mask or a slice."""
         kept = np.arange(len(self.noise))[rows]
+        if len(kept) == len(self.noise):
+            return self
         return GaussianProblem(
             self.H[kept], [self.sensors[i] for i in kept], self.noise[kept], self.prior,
             None if self.motion is None else self.motion.of(kept),
@@ -237,13 +239,6 @@ class GaussianProblem:
     def whitened(self) -> Array:
         """H of readings over their noise (m, n)."""
         return self.H / self.noise[:, None]
-
-    @property
-    def moved(self) -> Array:
-        """What one std of every motion of the image makes of readings over their noise (m, q)."""
-        if self.motion is None:
-            return np.zeros((len(self.noise), 0))
-        return self.motion.scaled / self.noise[:, None]
 
     @cached_property
     def _spread(self) -> tuple[Array, Array, Array]:

@@ -84,28 +84,22 @@ class ImageMotion:
                 rows = np.pad(rows, ((0, 0), (0, 1)))
                 rows[-count:, -1] = 1.0
                 std.append(self.offset)
-        return PosedMotion(rows, np.array(std), about)
+        return PosedMotion(rows, np.array(std))
 
 
 @dataclass(frozen=True, eq=False)
 class PosedMotion:
-    """What a unit of each unknown motion makes of the readings, `columns` (m, q), its `std` (q,), and about what place.
+    """What a unit of each unknown motion makes of the readings, `columns` (m, q), and its `std` (q,).
 
     The first four are the shift along x and y (m), the turn (rad) and the stretch of the image.
     """
 
     columns: Array
     std: Array
-    about: Array
-
-    @property
-    def scaled(self) -> Array:
-        """Readings (m, q) that one std of each makes."""
-        return self.columns * self.std
 
     def of(self, rows: Index | slice) -> PosedMotion:
         """That of some readings."""
-        return PosedMotion(self.columns[rows], self.std, self.about)
+        return PosedMotion(self.columns[rows], self.std)
 
     def typical(self, y: Array) -> Array:
         """The motion (q,) that most readings (m,) share: medians, and neither turn nor stretch."""
@@ -121,8 +115,8 @@ FREEDOMS = 4  # of an image: shift along x and y, turn, stretch
 TURNING = (2, 3)
 ROUNDS = 4
 NOISE = 0.5  # of the noise of one marker
-FAR = 0.005  # of that motion: std of such an error
-ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact
+ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact, at most
+FAR = 0.005  # and their std
 NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
 KEPT = 64  # regions

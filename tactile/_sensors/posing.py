@@ -242,7 +242,11 @@ def chosen_on(family: StaticInversion, y: Array) -> Choice:
     """Lambda of readings (m,); where no rule is set, by the middle of three."""
     asked = family if family.choice is not None else _with_rule(family, middle)
     found = asked.choose(asked.pose(readings(y, family.model, family.sensors)))
-    return found if family.choice is not None else replace(found, rule=middle.__name__)
+    if family.choice is not None:
+        return found
+    asked_as = f"{middle.__module__}.{middle.__qualname__}"
+    named = tuple(replace(r, rule=middle.__name__) if r.rule == asked_as else r for r in found.rules)
+    return replace(found, rule=middle.__name__, rules=named)
 
 
 def together(

@@ -112,17 +112,9 @@ class PosedPrior:
         """Of each traction (3 P,)."""
         return np.outer(np.diag(self.matrix), self.share).ravel()
 
-    @cached_property
-    def _root(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.matrix), float)
-
     def times(self, rows: Array) -> Array:
         """Rows (k, 3 P) times the covariance."""
         return self._each(rows, self.matrix, self.share)
-
-    def roots(self, rows: Array) -> Array:
-        """Rows (k, 3 P) times a root of the covariance, whose coefficients are white."""
-        return self._each(rows, self._root, np.sqrt(self.share))
 
     def among(self, nodes: Index) -> PosedPrior:
         """The prior of some nodes (k,)."""
