@@ -335,6 +335,38 @@ def test_bands_hold_on_a_mesh_that_is_not_the_pad_s(foreign: list[tuple[Press, n
     assert 0.85 < np.mean(covered) <= 1.0
 
 
+def test_the_error_of_the_mesh_is_told_by_half_of_it() -> None:
+    """Motion under nodal forces on a pad of half the elements and layers, each force shared by its cell."""
+    s = coarse(choice=0.03)
+    assert s.problem is not None
+    (mesh,) = s.problem.errors()
+    half = Pad(size=(14e-3, 12e-3), thickness=3e-3, E=147e3, nu=0.45, elements=(10, 8), layers=2, allow=("W115",))
+    assert s.pad.elements is not None
+    assert tuple(round(n / 2) for n in s.pad.elements) == (10, 8)
+    press = Press(at=(0.0, 0.0), radius=2e-3, force=0.1).traction(s.pad.nodes2d)
+    forces, shared = np.asarray(s.pad.surface.mass @ press), np.zeros((half.points, 3))
+    for axis in range(3):
+        shared[:, axis] = np.asarray(half.rows(s.pad.nodes2d)[axis::3, half.dofs[axis::3]].T @ forces[:, axis])
+    assert np.allclose(shared.sum(axis=0), forces.sum(axis=0))
+    u = np.asarray(half.from_surface(markers()) @ half.displacements(shared).ravel())
+    assert relative(mesh.change @ press.ravel() / 0.4, u - s.model.H @ press.ravel()) < 1e-8
+    exact = s.inverse.band
+    assert exact is not None
+    assert exact.errors[0].spread.max() > 0
+    assert np.abs(exact.errors[0].rows @ press.ravel())[2] > 1e-5
+
+
+def test_noise_scatters_forces_as_the_band_says() -> None:
+    s = made(image=None)
+    assert s.inverse.band is not None
+    noise = NOISE * np.random.default_rng(11).standard_normal((400, 3 * len(markers())))
+    scatter = (noise / NOISE) @ (s.resultant @ s.inverse.matrix).T
+    stated = np.sqrt(np.diag(s.inverse.band.covariance(np.zeros(len(s.loads)), 1.0)))
+    assert np.allclose(np.std(scatter, axis=0), stated, rtol=0.12)
+    doubled = np.sqrt(np.diag(s.inverse.band.covariance(np.zeros(len(s.loads)), 2.0)))
+    assert np.allclose(doubled, 2 * stated)
+
+
 def test_declared_tolerances_widen_the_band(foreign: list[tuple[Press, np.ndarray, np.ndarray]]) -> None:
     _, y, force = foreign[0]
     plain = coarse(choice=0.03).estimate(y).resultant()
