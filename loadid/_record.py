@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,11 @@ from structures._readonly import ReadOnly
 from structures.errors import InputError, plain, reals
 
 from . import _quality as quality
+from . import _stamps
 from ._inverse.problem import NoiseSource, NoiseSourceLike
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -48,6 +52,9 @@ class Record(ReadOnly):
         What was decided while reading (which axis is time, where the step comes from).
     file_dt : float, optional
         Step in s that the file states, where another one was stated in its place.
+    start : float, str or datetime, optional
+        When the first sample was taken: seconds since 1970 (UTC), an ISO 8601 text or a datetime, in UTC where they
+        name no zone. Kept in seconds; None where it is not known.
 
     Raises
     ------
@@ -65,6 +72,7 @@ class Record(ReadOnly):
     flags: tuple[Flag, ...]
     notes: tuple[str, ...]
     file_dt: float | None
+    start: float | None
 
     def __init__(
         self,
@@ -79,6 +87,7 @@ class Record(ReadOnly):
         flags: Sequence[Flag] = (),
         notes: Sequence[str] = (),
         file_dt: float | None = None,
+        start: float | str | datetime | None = None,
     ) -> None:
         table = _table(values)
         if channels is None:
@@ -94,6 +103,7 @@ class Record(ReadOnly):
             "values": table, "dt": _step(dt), "channels": described, "units": recorded, "name": str(name),
             "source": str(source), "simulated_by": str(simulated_by), "flags": tuple(flags), "notes": tuple(notes),
             "file_dt": None if file_dt is None else _step(file_dt),
+            "start": _stamps.utc(start, "record, start"),
         }  # fmt: skip
         for key, value in settled.items():
             object.__setattr__(self, key, value)
@@ -103,7 +113,8 @@ class Record(ReadOnly):
             ", ..." if len(self.channels) > 8 else ""
         )
         name = f"{self.name!r}: " if self.name else ""
-        return f"Record({name}{len(self)} samples at {1 / self.dt:g} Hz, {what})"
+        begun = "" if self.start is None else f" from {_stamps.iso(self.start)}"
+        return f"Record({name}{len(self)} samples at {1 / self.dt:g} Hz{begun}, {what})"
 
     def __len__(self) -> int:
         return len(self.values)
@@ -191,7 +202,8 @@ class Record(ReadOnly):
         if first >= last:
             raise InputError("the window holds no sample", where="window", found=f"{start:g} to {stop:g} s",
                              expected=f"a part of 0 to {self.duration:g} s")  # fmt: skip
-        return replace(self, values=self.values[first:last])
+        begun = None if self.start is None else self.start + first * self.dt
+        return replace(self, values=self.values[first:last], start=begun)
 
     def apply_units(self, units: Mapping[str | int, str]) -> Record:
         """The same recorded numbers with other units: ``record.apply_units({"F": "kN"})`` says what was recorded.

@@ -11,6 +11,9 @@ step, units and errors are then treated as in every other format::
         values = ...                                        # (samples, columns), as recorded
         return [Table(values, name="run 1", columns=("F", "a"), units=("N", "g"), dt=1e-3)]
 
+Where a format writes the date of every sample, its texts or ``datetime64`` go into ``stamps`` and no column of the
+values; where it writes when the record began, that goes into ``start`` (s since 1970, UTC).
+
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
 before it unpacks, and never evaluates or unpickles anything. `rows_of` (`csv_table.py`) turns lines of text into
 numbers and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
@@ -104,7 +107,9 @@ def read(
     axis : int, optional
         Axis of an array that is time; default the longer one (said in ``record.notes``).
     units : dict, optional
-        ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s.
+        ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s,
+        or the epoch that its size tells; a column of time stamps takes the order of its dates (``"DD/MM/YYYY"``,
+        ``"MM/DD/YYYY"``), its time zone (``"Europe/Berlin"``, ``"UTC+1"``), or both, parted by a blank.
 
     Returns
     -------
@@ -408,18 +413,22 @@ def _restrict() -> None:
 
 
 def _pack(table: Table) -> tuple[dict[str, Any], bytes]:
-    values = np.ascontiguousarray(table.values)
-    entry = {k: v for k, v in vars(table).items() if k not in ("values", "flags")}
+    arrays = [np.ascontiguousarray(x) for x in (table.values, table.stamps) if x is not None]
+    entry = {k: v for k, v in vars(table).items() if k not in ("values", "stamps", "flags")}
     entry["flags"] = [f.to_dict() for f in table.flags]
-    return {**entry, "dtype": values.dtype.str, "shape": values.shape}, values.tobytes()
+    entry["arrays"] = [(x.dtype.str, x.shape) for x in arrays]
+    return entry, b"".join(x.tobytes() for x in arrays)
 
 
 def _unpack(entry: dict[str, Any], pipe: BinaryIO) -> Table:
-    dtype, shape = np.dtype(entry.pop("dtype")), tuple(entry.pop("shape"))
-    values = np.frombuffer(_exactly(pipe, dtype.itemsize * int(np.prod(shape))), dtype).reshape(shape)
+    values, *stamps = (_array(pipe, np.dtype(kind), tuple(shape)) for kind, shape in entry.pop("arrays"))
     flags = tuple(Flag.from_dict(f) for f in entry.pop("flags"))
     entry = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-    return Table(values, flags=flags, **entry)
+    return Table(values, flags=flags, stamps=stamps[0] if stamps else None, **entry)
+
+
+def _array(pipe: BinaryIO, kind: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
+    return np.frombuffer(_exactly(pipe, kind.itemsize * int(np.prod(shape))), kind).reshape(shape)
 
 
 def _send(pipe: BinaryIO, message: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """Text tables (.csv, .txt, ...): delimiter and decimal sign found from the numbers themselves, never from a guess.
 
 Above the numbers there may be anything; the last line with as many cells as the rows names the columns ("acc [m/s^2]",
-"acc (g)"), and a line between may hold the units.
+"acc (g)"), and a line between may hold the units. Cells with dates or times of day are the stamps of the samples.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from structures import units as _units
 from structures._flags import Flag
 
+from .. import _stamps
+from .settle import TIME_NAMES
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
 TRIES = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
@@ -37,14 +39,14 @@ class _Layout:
     first: int  # index of the first row of numbers
 
 
-def _is_text(head: bytes) -> bool:
+def _readable(head: bytes) -> bool:
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return True
     control = sum(b < 9 or 13 < b < 27 or 27 < b < 32 for b in head)
     return bool(head) and control == 0
 
 
-@register("CSV", suffixes=(".csv", ".txt", ".tsv", ".dat", ".asc", ".tab"), sniff=_is_text, generic=True)
+@register("CSV", suffixes=(".csv", ".txt", ".tsv", ".dat", ".asc", ".tab"), sniff=_readable, generic=True)
 def load(source: Source, options: Options) -> list[Table]:
     """The one table of the file."""
     if options.axis not in (None, 0):
@@ -68,9 +70,69 @@ def load(source: Source, options: Options) -> list[Table]:
     clean = (
         [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
     )
-    values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
     names, units = _heading(lines[: layout.first], layout)
-    return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
+    forms = {i: _stamps.form(cell) for i, cell in enumerate(_cells(clean[0][1], layout)) if _is_text(cell, layout)}
+    at = [i for i, form in forms.items() if form == "date" and forms.get(i + 1) == "time"]
+    if names is None and at and layout.separator is None:  # one name over a date and a time of day
+        names, units = _heading(lines[: layout.first], replace(layout, width=layout.width - 1))
+        names = None if names is None else (*names[: at[0] + 1], *names[at[0] :])
+        units = None if units is None else (*units[: at[0] + 1], *units[at[0] :])
+    if not forms:
+        values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
+        return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
+    return [_with_stamps(clean, forms, names, units, flags, layout, source)]
+
+
+def _is_text(cell: str, layout: _Layout) -> bool:
+    return number_of(cell, layout.decimal) is None
+
+
+def _with_stamps(
+    body: list[tuple[int, str]],
+    forms: dict[int, str],
+    names: tuple[str, ...] | None,
+    units: tuple[str | None, ...] | None,
+    flags: tuple[Flag, ...],
+    layout: _Layout,
+    source: Source,
+) -> Table:
+    """Table of rows some columns of which (`forms`) hold dates or times of day."""
+    rows = [_cells(line, layout) for _, line in body]
+    numbers = np.array([i for i in range(layout.width) if i not in forms])
+    if not len(numbers):
+        source.refuse("there are time stamps and nothing else", body[0][1][:60], "at least one channel")
+    mark = layout.separator or "\t"  # where the stamps stood nothing is left, so that columns keep their places
+    bare = [
+        (n, mark.join("" if i in forms else c for i, c in enumerate(cells)))
+        for (n, _), cells in zip(body, rows, strict=True)
+    ]
+    values = rows_of(bare, mark, layout.decimal, numbers, layout.width, source)
+    kept = None if names is None else tuple(names[i] for i in numbers)
+    timed = kept is not None and any(n.strip().lower() in TIME_NAMES for n in kept)
+    used = _clock(forms, timed)
+    passed = [names[i] if names else f"column {i + 1}" for i in forms if i not in used]
+    return Table(
+        values,
+        name=source.path.stem,
+        columns=kept,
+        units=None if units is None else tuple(units[i] for i in numbers),
+        flags=flags,
+        notes=(f"passed over: {', '.join(passed)} (dates or times)",) if passed else (),
+        stamps=np.array([" ".join(cells[i] for i in used) for cells in rows]) if used else None,
+        clock=" ".join(dict.fromkeys(names[i].strip() for i in used)) if names else "time",
+    )
+
+
+def _clock(forms: dict[int, str], timed: bool) -> list[int]:
+    """Columns that make the stamps: one with both, else a date and a time of day, else what there is.
+
+    Where a column of numbers is time, a date without a time of day tells nothing.
+    """
+    for kinds in (("stamp",), ("date", "time"), ("time",), () if timed else ("date",)):
+        found = [next((i for i, f in forms.items() if f == kind), None) for kind in kinds]
+        if found and None not in found:
+            return [i for i in found if i is not None]
+    return []
 
 
 def _decoded(source: Source) -> str:
@@ -120,9 +182,9 @@ def _layout(lines: list[str], source: Source) -> _Layout:
     fits = [(s, d, w) for s, d in TRIES if (w := _width(sample, s, d))]
     many = [f for f in fits if f[2] > 1]
     if not fits:
-        source.refuse(
-            "no rows of numbers", f"{sample[-1][:60]!r}", "numbers with one delimiter (comma, semicolon, tab or spaces)"
-        )
+        bad = next((line for line in sample if not any(_width([line], s, d) for s, d in TRIES)), sample[-1])
+        source.refuse("no rows of numbers", f"line {lines.index(bad) + 1}: {bad[:60]!r}",
+                      "numbers, and dates or times, with one delimiter (comma, semicolon, tab or spaces)")  # fmt: skip
     comma = next((f for f in many if f[:2] == (",", ".")), None)
     if comma and comma[2] == 2 and not any("." in line for line in sample) and any(f[1] == "," for f in fits):
         heading = [lines[i] for i in filled if lines[i] not in sample and not _numeric(lines[i], ",", ".")]
@@ -153,7 +215,8 @@ def _width(sample: list[str], separator: str | None, decimal: str) -> int:
             cells.pop()
         if len(cells) > 1 and separator is None and decimal == "," and not any("," in c for c in cells):
             return 0
-        if not any(cells) or any(number_of(c, decimal) is None for c in cells):
+        told = [number_of(c, decimal) is not None for c in cells]
+        if not any(cells) or not any(told) or not all(t or _stamps.form(c) for t, c in zip(told, cells, strict=True)):
             return 0
         widths.add(len(cells))
     return max(widths) if len(widths) <= 2 and max(widths) - min(widths) <= 1 else 0
@@ -164,7 +227,11 @@ def _numeric(line: str, separator: str | None, decimal: str, width: int = 0) -> 
     if len(cells) > 1 and not cells[-1] and len(cells) == width + 1:
         cells.pop()
     filled = [c for c in cells if c]
-    return bool(filled) and len(cells) >= width and all(number_of(c, decimal) is not None for c in filled)
+    return (
+        bool(filled)
+        and len(cells) >= width
+        and all(number_of(c, decimal) is not None or _stamps.form(c) for c in filled)
+    )
 
 
 def _unended(body: list[tuple[int, str]], layout: _Layout) -> tuple[list[tuple[int, str]], tuple[Flag, ...]]:

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,14 +17,14 @@ from structures._advice import Advice, Option, either
 from structures._channels import Channel
 from structures.errors import InputError
 
+from .. import _stamps
 from .._record import Record, copy_of, find
 from .source import COLUMNS, RATE, NotStated, Options, RecordOutline, Source, Table
+from .timebase import Base, fill, timebase
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
 APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction
 TIME_LIKE = re.compile(r"\s*(t|time|zeit|timestamp)[\s_.\-(]", re.IGNORECASE)
-JITTER = 0.01  # deviation from the grid, in steps, that is still uniform
-MISSING = 0.25  # share of dropped samples on the full grid beyond which a column is no time column
 
 
 def settle(table: Table, source: Source, options: Options) -> Record:
@@ -63,6 +63,7 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         flags=table.flags,
         notes=(*table.notes, *notes),
         file_dt=None if options.fs is None else table.dt,
+        start=table.start,
     )
 
 
@@ -89,7 +90,7 @@ def check_unit_keys(tables: list[Table], source: Source, options: Options) -> No
     """
     known = [_channel_names(table, source, options) for table in tables]
     for key in options.units:
-        if not any(_has(key, names) or key == time for names, time in known):
+        if not any(_has(key, names) or key in times for names, times in known):
             # one list of names where all tables agree, else the longest: the message must show indices that count
             find(key, max((names for names, _ in known), key=len), what="channel", where=str(source.path))
 
@@ -148,16 +149,17 @@ def _refuse_infinite(table: Table, source: Source) -> None:
                   "repair the record, or mark these samples as NaN")  # fmt: skip
 
 
-def _channel_names(table: Table, source: Source, options: Options) -> tuple[tuple[str, ...], str | None]:
-    """Names of the channels of a table, and that of its time column."""
+def _channel_names(table: Table, source: Source, options: Options) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the channels of a table, and those that its time column or its stamps answer to."""
     try:
         named = _named(table, source, options)
     except InputError:  # names that do not fit this table are refused where it is read
         named = _named(table, source, replace(options, columns=None))
     names = named.columns or ()
+    times = () if named.stamps is None else (named.clock, "time")
     if named.time is None:
-        return names, None
-    return tuple(n for i, n in enumerate(names) if i != named.time), names[named.time]
+        return names, times
+    return tuple(n for i, n in enumerate(names) if i != named.time), (names[named.time], *times)
 
 
 def _has(key: str | int, names: tuple[str, ...] | list[str]) -> bool:
@@ -219,28 +221,12 @@ def _looks_like_time(x: NDArray[Any]) -> bool:
 
 def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float | None]:
     """The table without its time column, and its step where the file or the caller states it."""
-    dt, notes, values = table.dt, list(table.notes), table.values
-    if table.time is not None:
-        column, names = table.time, table.columns or ()
-        stated = [u for k, u in options.units.items() if k == names[column]]
-        text = stated[0] if stated else (table.units[column] if table.units else None)
-        scale = _units.check(text, "time", channel=names[column]).factor if text else 1.0
-        base = timebase(values[:, column].astype(float) * scale, source)
-        values = fill(np.delete(values, column, axis=1), base)
-        if base.missing:
-            many = "samples are" if base.missing > 1 else "sample is"
-            notes.append(f"{base.missing} {many} missing in the time column {names[column]}, first after sample "
-                         f"{base.first}: set to NaN")  # fmt: skip
-        if dt is None or options.fs is None:
-            notes.append(
-                f"step {base.dt:.9g} s from the time column {names[column]}" + ("" if text else ", taken as seconds")
-            )
-        dt = base.dt
-        keep = [i for i in range(len(names)) if i != column]
-        unit_texts = tuple(table.units[i] for i in keep) if table.units else None
-        table = replace(table, values=values, columns=tuple(names[i] for i in keep), units=unit_texts, time=None)
-        if not keep:
-            source.refuse("there is a time column and nothing else", names, "at least one channel")
+    dt = table.dt
+    if table.stamps is not None:
+        table, dt = _by_stamps(table, table.stamps, source, options)
+    elif table.time is not None:
+        table, dt = _by_time(table, table.time, source, options)
+    notes = list(table.notes)
     if options.fs is not None:
         rate = _positive(options.fs, source)
         if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):
@@ -249,6 +235,65 @@ def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, flo
     if dt is not None and not (math.isfinite(dt) and dt > 0):
         source.refuse("the step is not positive", f"dt = {dt}", "seconds, > 0", RATE)
     return replace(table, notes=tuple(notes)), dt
+
+
+def _by_time(table: Table, column: int, source: Source, options: Options) -> tuple[Table, float]:
+    """A table with a column of numbers that are time: without it, and the step."""
+    names, notes = table.columns or (), []
+    stated = [u for k, u in options.units.items() if k == names[column]]
+    text = stated[0] if stated else (table.units[column] if table.units else None)
+    unit = _units.check(text, "time", channel=names[column]) if text else None
+    raw, start = table.values[:, column], table.start
+    since = _stamps.epoch(raw[np.isfinite(raw)], unit.symbol if unit else None)
+    scale = since[1] if since else unit.factor if unit else 1.0
+    taken = "" if text else ", taken as seconds"
+    if since is not None and np.isfinite(raw[0]):  # the difference of whole numbers is exact where they are not
+        start, raw = float(raw[0]) * scale, raw - raw[0]
+        taken = "" if text else f", {since[0]} since 1970 by their size"
+    elif start is not None and np.isfinite(raw[0]):
+        start += float(raw[0]) * scale
+    rounding = float(np.spacing(abs(float(table.values[0, column])))) * scale if since else 0.0
+    base = timebase(raw.astype(float) * scale, source, rounding)
+    notes += [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time column {names[column]}{taken}"]
+    keep = [i for i in range(len(names)) if i != column]
+    if not keep:
+        source.refuse("there is a time column and nothing else", names, "at least one channel")
+    units = tuple(table.units[i] for i in keep) if table.units else None
+    table = replace(table, values=table.values[:, keep], columns=tuple(names[i] for i in keep), units=units, time=None)
+    return _on_grid(replace(table, start=start), base, names[column], notes), base.dt
+
+
+def _by_stamps(table: Table, stamps: NDArray[Any], source: Source, options: Options) -> tuple[Table, float]:
+    """A table whose samples have time stamps: without them, and the step; a column of numbers that is time rules it."""
+    stated = next((str(u) for k, u in options.units.items() if str(k) in (table.clock, "time")), None)
+    where = f"{source.path}, column {table.clock}"
+    if stamps.dtype.kind == "M":
+        found = _stamps.of_datetimes(stamps, where, stated, table.aware)
+    else:
+        found = _stamps.of_texts(stamps.tolist(), where, stated)
+    table = replace(table, stamps=None, start=found.start, notes=(*table.notes, *found.notes))
+    if table.time is not None:
+        column = table.values[:, table.time]
+        zero = column - column[0] if len(column) and np.isfinite(column[0]) else column
+        values = np.column_stack([zero if i == table.time else x for i, x in enumerate(table.values.T)])
+        return _by_time(replace(table, values=values), table.time, source, options)
+    base = timebase(found.seconds, source)
+    notes = [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time stamps in {table.clock}"]
+    return _on_grid(table, base, table.clock, notes), base.dt
+
+
+def dt_stated(table: Table, options: Options) -> bool:
+    """Whether both the file and the caller state the step, so that the time column gives none."""
+    return table.dt is not None and options.fs is not None
+
+
+def _on_grid(table: Table, base: Base, clock: str, notes: list[str]) -> Table:
+    """Samples on the full grid, and what is said of those that are missing."""
+    if base.missing:
+        many = "samples are" if base.missing > 1 else "sample is"
+        gone = f"{base.missing} {many} missing in the time column {clock}, first after sample {base.first}: set to NaN"
+        notes = [gone, *notes]
+    return replace(table, values=fill(table.values, base), notes=(*table.notes, *notes))
 
 
 def replaced(own: float, dt: float) -> str:
@@ -326,116 +371,3 @@ def _refuse_two_clocks(table: Table, names: tuple[str, ...], time: int | None, s
         source.refuse("several columns with different numbers are named as time",
                       f"{names[time]!r} over columns {', '.join(str(i + 1) for i in (time, *other))}",
                       "one time column", "rename those that are no time of this record, or delete them")  # fmt: skip
-
-
-# -- the step of a time column -----------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Base:
-    """Step in s, the place of every sample on the grid, how many are missing and after which sample first."""
-
-    dt: float
-    place: NDArray[np.int64]
-    missing: int = 0
-    first: int = 0
-
-
-def timebase(t: NDArray[np.float64], source: Source) -> Base:
-    """Step of a column of time stamps in s.
-
-    Stamps that were rounded on writing still give the step that the instrument had: of the steps that fit all stamps,
-    the one whose frequency is a whole number is taken, else the one with the fewest digits. Whole samples that are
-    missing are kept as gaps; anything else that is not uniform is refused.
-
-    Raises
-    ------
-    InputError
-        NaN, stamps that do not rise, a step that is not constant.
-    """
-    n = len(t)
-    if n < 2 or not np.all(np.isfinite(t)):
-        bad = "one stamp" if n < 2 else f"{int((~np.isfinite(t)).sum())} stamps that are no numbers"
-        source.refuse("the time column gives no step", bad, "finite, rising stamps",
-                      "repair the time column, or leave it out and state --fs HZ")  # fmt: skip
-    steps = np.diff(t)
-    if not steps.min() > 0:
-        i = int(np.argmin(steps))
-        source.refuse("time does not rise", f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}", "rising stamps",
-                      "sort or repair the time column, or leave it out and state --fs HZ")  # fmt: skip
-    rounding = _resolution(t)
-    typical = float(np.median(steps))
-    if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
-        typical = float(t[-1] - t[0]) / (n - 1)
-    slack = max(JITTER * typical, 1.01 * rounding, 8 * np.finfo(float).eps * float(np.abs(t).max()))
-    dt, place = _grid(t, _single(steps, typical), slack)
-    wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
-    if wrong.any() or np.diff(place).min() < 1:
-        i = int(np.argmax(np.abs(steps - typical)))
-        source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
-                      "a constant step", "resample the record, or state --fs HZ without a time column")  # fmt: skip
-    missing = int(place[-1]) + 1 - n
-    if missing > MISSING * (n + missing):
-        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
-                      "cut the record at the gap")  # fmt: skip
-    first = int(np.argmax(np.diff(place) > 1)) if missing else 0
-    return Base(_snap(dt, float(place[-1]), slack_of(t, dt, place), n), place, missing, first)
-
-
-def fill(values: NDArray[Any], base: Base) -> NDArray[np.float64]:
-    """Samples on the full grid, NaN where one is missing."""
-    if not base.missing:
-        return np.asarray(values, dtype=float)
-    full = np.full((int(base.place[-1]) + 1, values.shape[1]), np.nan)
-    full[base.place] = values
-    return full
-
-
-def slack_of(t: NDArray[np.float64], dt: float, place: NDArray[np.int64]) -> float:
-    """Largest distance of a stamp from its grid, with the rounding of the numbers themselves."""
-    away = t - t[0] - place * dt
-    return float(np.ptp(away)) + 4 * float(np.spacing(np.abs(t).max()))
-
-
-def _single(steps: NDArray[np.float64], typical: float) -> float:
-    """Mean of the steps without a gap: the median or the mean of all is off by rounding or by the gaps themselves."""
-    for _ in range(4):
-        alone = steps[np.rint(steps / typical) == 1]
-        if not len(alone) or typical == alone.mean():
-            break
-        typical = float(alone.mean())
-    return typical
-
-
-def _grid(t: NDArray[np.float64], typical: float, slack: float) -> tuple[float, NDArray[np.int64]]:
-    """Step and place of every stamp; the steps are counted one by one so that an error of the step does not add up."""
-    counts = np.maximum(np.rint(np.diff(t) / typical), 1.0)
-    if counts.max() > 1e6 * len(t):
-        counts = np.minimum(counts, 1e6)
-    place = np.concatenate(([0.0], np.cumsum(counts))).astype(np.int64)
-    dt = float(t[-1] - t[0]) / float(place[-1])
-    return dt, place
-
-
-def _snap(dt: float, count: float, away: float, samples: int) -> float:
-    """The simplest step that fits the stamps: a whole frequency, else few digits."""
-    within = min(2.0 * away / count, 0.005 * dt)
-    whole = round(1.0 / dt)
-    if whole >= 1 and abs(1.0 / whole - dt) <= within:
-        return 1.0 / whole
-    for digits in range(1, 12):
-        simple = float(f"{dt:.{digits - 1}e}")
-        if abs(simple - dt) <= within:
-            return simple
-    return dt
-
-
-def _resolution(t: NDArray[np.float64]) -> float:
-    """Decimal place to which stamps were rounded, in s; 0 when they were not."""
-    part = t[:: max(1, len(t) // 2000)]
-    eps = 4 * np.finfo(float).eps * float(np.abs(part).max())
-    for digits in range(13):
-        place = 10.0**-digits
-        if eps > 0.1 * place:
-            break
-        if np.all(np.abs(part - np.round(part, digits)) <= eps):
-            return place
-    return 0.0

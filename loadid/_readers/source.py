@@ -136,6 +136,15 @@ class Table:
     flags : tuple of Flag
     notes : tuple of str
         What was decided.
+    start : float or None
+        When the file says that the record began, in s since 1970 (UTC): the first sample or, where there is a time
+        column, its zero.
+    stamps : array, shape (samples,), or None
+        When each sample was taken: texts, or ``datetime64``; in the place of a time column.
+    clock : str
+        Name of the column of the stamps.
+    aware : bool
+        Stamps of kind ``datetime64`` are in UTC (else in local time, of a zone that the file does not name).
     """
 
     values: NDArray[Any]
@@ -146,6 +155,10 @@ class Table:
     time: int | None = None
     flags: tuple[Flag, ...] = ()
     notes: tuple[str, ...] = ()
+    start: float | None = None
+    stamps: NDArray[Any] | None = None
+    clock: str = "time"
+    aware: bool = False
 
 
 def time_first(table: Table, source: Source, options: Options) -> Table:

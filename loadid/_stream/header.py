@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import datetime as dt
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +12,8 @@ from typing import Any
 from structures import units as _units
 from structures._channels import ARBITRARY, Channel
 from structures.errors import InputError
+
+from .. import _stamps
 
 TIME = ("t", "time", "zeit", "timestamp", "seconds")
 MISSING = ("", "nan", "na", "null", "none", "-")
@@ -209,12 +210,8 @@ def in_seconds(text: bytes) -> bytes:
 
 
 def _seconds(found: re.Match[bytes]) -> bytes:
-    text = found[0].decode().replace(",", ".").replace("/", "-")
-    try:
-        when = dt.datetime.fromisoformat(text)
-    except ValueError:  # no such day
-        return found[0]
-    return repr((when if when.tzinfo else when.replace(tzinfo=dt.UTC)).timestamp()).encode()
+    when = _stamps.seconds(found[0].decode())
+    return found[0] if when is None else repr(when).encode()
 
 
 def number_of(cell: str) -> float | None:

@@ -1,0 +1,127 @@
+"""The step of a column of time stamps, and the place of every sample on the even grid that they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .source import Source
+
+JITTER = 0.01  # deviation from the grid, in steps, that is still uniform
+MISSING = 0.25  # share of dropped samples on the full grid beyond which a column is no time column
+
+
+@dataclass(frozen=True)
+class Base:
+    """Step in s, the place of every sample on the grid, how many are missing and after which sample first."""
+
+    dt: float
+    place: NDArray[np.int64]
+    missing: int = 0
+    first: int = 0
+
+
+def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0) -> Base:
+    """Step of a column of time stamps in s.
+
+    Stamps that were rounded on writing still give the step that the instrument had: of the steps that fit all stamps,
+    the one whose frequency is a whole number is taken, else the one with the fewest digits. Whole samples that are
+    missing are kept as gaps; anything else that is not uniform is refused. `rounding` is what the numbers lost before
+    they came here.
+
+    Raises
+    ------
+    InputError
+        NaN, stamps that do not rise, a step that is not constant.
+    """
+    n = len(t)
+    if n < 2 or not np.all(np.isfinite(t)):
+        bad = "one stamp" if n < 2 else f"{int((~np.isfinite(t)).sum())} stamps that are no numbers"
+        source.refuse("the time column gives no step", bad, "finite, rising stamps",
+                      "repair the time column, or leave it out and state --fs HZ")  # fmt: skip
+    steps = np.diff(t)
+    if not steps.min() > 0:
+        i = int(np.argmin(steps))
+        source.refuse("time does not rise", f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}", "rising stamps",
+                      "sort or repair the time column, or leave it out and state --fs HZ")  # fmt: skip
+    rounding = max(_resolution(t), rounding)
+    typical = float(np.median(steps))
+    if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
+        typical = float(t[-1] - t[0]) / (n - 1)
+    slack = max(JITTER * typical, 1.01 * rounding, 8 * np.finfo(float).eps * float(np.abs(t).max()))
+    dt, place = _grid(t, _single(steps, typical), slack)
+    wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
+    if wrong.any() or np.diff(place).min() < 1:
+        i = int(np.argmax(np.abs(steps - typical)))
+        source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
+                      "a constant step", "resample the record, or state --fs HZ without a time column")  # fmt: skip
+    missing = int(place[-1]) + 1 - n
+    if missing > MISSING * (n + missing):
+        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
+                      "cut the record at the gap")  # fmt: skip
+    first = int(np.argmax(np.diff(place) > 1)) if missing else 0
+    return Base(_snap(dt, float(place[-1]), slack_of(t, dt, place), n), place, missing, first)
+
+
+def fill(values: NDArray[Any], base: Base) -> NDArray[np.float64]:
+    """Samples on the full grid, NaN where one is missing."""
+    if not base.missing:
+        return np.asarray(values, dtype=float)
+    full = np.full((int(base.place[-1]) + 1, values.shape[1]), np.nan)
+    full[base.place] = values
+    return full
+
+
+def slack_of(t: NDArray[np.float64], dt: float, place: NDArray[np.int64]) -> float:
+    """Largest distance of a stamp from its grid, with the rounding of the numbers themselves."""
+    away = t - t[0] - place * dt
+    return float(np.ptp(away)) + 4 * float(np.spacing(np.abs(t).max()))
+
+
+def _single(steps: NDArray[np.float64], typical: float) -> float:
+    """Mean of the steps without a gap: the median or the mean of all is off by rounding or by the gaps themselves."""
+    for _ in range(4):
+        alone = steps[np.rint(steps / typical) == 1]
+        if not len(alone) or typical == alone.mean():
+            break
+        typical = float(alone.mean())
+    return typical
+
+
+def _grid(t: NDArray[np.float64], typical: float, slack: float) -> tuple[float, NDArray[np.int64]]:
+    """Step and place of every stamp; the steps are counted one by one so that an error of the step does not add up."""
+    counts = np.maximum(np.rint(np.diff(t) / typical), 1.0)
+    if counts.max() > 1e6 * len(t):
+        counts = np.minimum(counts, 1e6)
+    place = np.concatenate(([0.0], np.cumsum(counts))).astype(np.int64)
+    dt = float(t[-1] - t[0]) / float(place[-1])
+    return dt, place
+
+
+def _snap(dt: float, count: float, away: float, samples: int) -> float:
+    """The simplest step that fits the stamps: a whole frequency, else few digits."""
+    within = min(2.0 * away / count, 0.005 * dt)
+    whole = round(1.0 / dt)
+    if whole >= 1 and abs(1.0 / whole - dt) <= within:
+        return 1.0 / whole
+    for digits in range(1, 12):
+        simple = float(f"{dt:.{digits - 1}e}")
+        if abs(simple - dt) <= within:
+            return simple
+    return dt
+
+
+def _resolution(t: NDArray[np.float64]) -> float:
+    """Decimal place to which stamps were rounded, in s; 0 when they were not."""
+    part = t[:: max(1, len(t) // 2000)]
+    eps = 4 * np.finfo(float).eps * float(np.abs(part).max())
+    for digits in range(13):
+        place = 10.0**-digits
+        if eps > 0.1 * place:
+            break
+        if np.all(np.abs(part - np.round(part, digits)) <= eps):
+            return place
+    return 0.0
