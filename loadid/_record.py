@@ -1,12 +1,11 @@
-"""What was measured, in SI, with a name and a unit for every column: a record, or spectra on frequency lines."""
+"""What was measured, in SI, with a name and a unit for every column."""
 
 from __future__ import annotations
 
-import difflib
 import math
-import re
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +16,13 @@ from structures import units as _units
 from structures._channels import Channel
 from structures._flags import Flag
 from structures._readonly import ReadOnly
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError, plain
 
+from . import _exports, _objects, _stamps
 from . import _quality as quality
-from . import _stamps
-from ._inverse.problem import NoiseSource, NoiseSourceLike
+from ._names import find
+from ._names import refuse_copies as refuse_copies
+from ._spectra import Spectra as Spectra
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -34,10 +35,11 @@ class Record(ReadOnly):
     Parameters
     ----------
     values : array, shape (samples, channels) or (samples,)
-        SI (or arbitrary) numbers; kept as read-only float64. NaN marks a recorded gap, which `health` flags; infinite
-        numbers are refused.
+        SI (or arbitrary) numbers; kept as read-only float64. NaN, and what a masked array hides, is a recorded gap,
+        which `health` flags; infinite numbers are refused. A quantity of pint is converted and its unit kept; columns
+        of a DataFrame keep their names.
     dt : float
-        Step in s.
+        Step in s, or a quantity of pint.
     channels : sequence of Channel or str, or one of them
         One per column, with unique labels; a bare label is a channel in arbitrary units. None names them ch1, ch2, ...
     units : sequence of str, optional
@@ -89,10 +91,11 @@ class Record(ReadOnly):
         file_dt: float | None = None,
         start: float | str | datetime | None = None,
     ) -> None:
-        table = _table(values)
+        values, names, unit = _objects.opened(values)
+        table, dt = _table(values), _objects.seconds(dt)
         if channels is None:
             _refuse_transposed(table)
-        described = _channels(channels, table.shape[1])
+        described = _objects.in_unit(unit, _channels(names if channels is None else channels, table.shape[1]))
         recorded = tuple(c.unit for c in described) if units is None else tuple(units)
         if len(recorded) != len(described):
             raise InputError(
@@ -221,60 +224,104 @@ class Record(ReadOnly):
             recorded[i] = unit.symbol
         return replace(self, values=values, channels=tuple(channels), units=tuple(recorded))
 
+    @classmethod
+    def from_dataframe(
+        cls, frame: Any, *, fs: float | None = None, units: Mapping[str | int, Any] | None = None
+    ) -> Record:
+        """Record of a DataFrame of pandas or polars, settled as the columns of a file are.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            The time is its DatetimeIndex or TimedeltaIndex, a named index, a column of stamps, or one named time.
+            Units stand in the names, ``acc [g]``, or in ``frame.attrs["units"]`` by name.
+        fs, units : optional
+            As for `loadid.read`.
+
+        Raises
+        ------
+        InputError
+            No DataFrame, doubled names, no step, a unit that is not stated.
+        """
+        return cls(**_objects.of_frame(frame, fs, units))
+
+    @classmethod
+    def from_xarray(
+        cls, array: Any, *, fs: float | None = None, units: Mapping[str | int, Any] | None = None
+    ) -> Record:
+        """Record of a DataArray of xarray with the dimension ``time`` and at most one other.
+
+        Parameters
+        ----------
+        array : xarray.DataArray
+            Names are the coordinate of the other dimension, units a coordinate ``unit`` along it or the attribute
+            ``units``.
+        fs, units : optional
+            As for `loadid.read`.
+
+        Raises
+        ------
+        InputError
+            No DataArray, other dimensions, doubled names, no step, a unit that is not stated.
+        """
+        return cls(**_objects.of_xarray(array, fs, units))
+
+    def to_dataframe(self) -> Any:
+        """DataFrame of pandas, a column for each channel in SI; ``attrs`` hold units, step, name and start.
+
+        The index is the time in s, or UTC stamps where `start` is known.
+        """
+        return _objects.to_dataframe(self)
+
+    def to_xarray(self) -> Any:
+        """DataArray (time, channel) in SI with the units as a coordinate; time as in `to_dataframe`."""
+        return _objects.to_xarray(self)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write a text table that `loadid.read` and spreadsheets read, every number to its last bit.
+
+        Raises
+        ------
+        InputError
+            Another suffix than .csv or .txt, or a file that cannot be written.
+        """
+        _exports.to_csv(self, path)
+
+    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+        """Write a Parquet file: a column for the time and one for each channel, units in the metadata (pyarrow).
+
+        Raises
+        ------
+        InputError
+            Another suffix than .parquet or .pq, or a file that cannot be written.
+        """
+        _exports.to_parquet(self, path)
+
+    def to_mat(self, path: str | os.PathLike[str]) -> None:
+        """Write a MAT file (level 5): ``data``, ``dt``, ``channels`` and ``units`` (a line each), ``start``.
+
+        Raises
+        ------
+        InputError
+            Another suffix than .mat, or a file that cannot be written.
+        """
+        _exports.to_mat(self, path)
+
+    def to_uff(self, path: str | os.PathLike[str]) -> None:
+        """Write a universal file in SI (data sets 164 and 58b), a time response for each channel.
+
+        Labels that name a degree of freedom (``12+Z``) are written as one.
+
+        Raises
+        ------
+        InputError
+            Another suffix than .uff, .unv or .ufb, a label of more than 20 bytes, or a file that cannot be written.
+        """
+        _exports.to_uff(self, path)
+
     def health(self) -> tuple[Flag, ...]:
         """Findings on the channels: clipped, saturated, flat, held and missing samples, offsets (W206)."""
         return quality.health(self)
-
-
-def find(key: str | int, names: Sequence[str], *, what: str, where: str) -> int:
-    """Position of a name, or of an index from 0 (an int, or its text where no name is that text).
-
-    Raises
-    ------
-    InputError
-        If there is none; the message lists the names and the nearest one. A name that several columns of a file carry.
-    """
-    if isinstance(key, str):
-        if key in names:
-            return list(names).index(key)
-        refuse_copies(key, names, what=what, where=where)
-        if key.strip().isascii() and key.strip().isdecimal() and len(key) < 9:
-            key = int(key)
-    if isinstance(key, int | np.integer) and not isinstance(key, bool) and -len(names) <= key < len(names):
-        return int(key) % len(names)
-    near = difflib.get_close_matches(str(key), names, n=1, cutoff=0.5)
-    same = [n for n in names if n.lower() == str(key).strip().lower()]
-    listed = ", ".join(f"{i}: {n}" for i, n in enumerate(names[:50])) + (", ..." if len(names) > 50 else "")
-    raise InputError(
-        f"there is no {what} {key!r}",
-        where=where,
-        found=f"the {what}s {listed}",
-        expected="one of their names or indices",
-        hint=f"did you mean {(same or near)[0]!r}?" if same or near else f"name one of the {what}s",
-    )
-
-
-def copy_of(name: str, column: int) -> str:
-    """Label of one of several columns (counted from 1) over which a file writes the same name."""
-    return f"{name} (column {column})"
-
-
-def refuse_copies(name: str, names: Sequence[str], *, what: str, where: str) -> None:
-    """Nothing, unless several columns of a file carry the name: it says which of them is meant nowhere.
-
-    Raises
-    ------
-    InputError
-        The columns, and how one of them is named.
-    """
-    label = re.compile(re.escape(name.strip()) + r" \(column (\d+)\)")
-    alike = {i: match[1] for i, n in enumerate(names) if (match := label.fullmatch(n))}
-    if alike:
-        raise InputError(f"the {what} {name!r} could be several columns", where=where,
-                         found=f"the name over {'columns' if len(alike) > 1 else 'another column, and over column'} "
-                         f"{' and '.join(alike.values())}", expected="a name of its own for every column that is used",
-                         hint="rename the columns in the file, or name the one that is meant: "
-                         + " or ".join(f"{i} (index) or {names[i]!r}" for i in alike))  # fmt: skip
 
 
 def _table(values: ArrayLike) -> NDArray[np.float64]:
@@ -341,90 +388,3 @@ def _refuse_infinite(table: NDArray[np.float64], channels: tuple[Channel, ...]) 
                          found=f"{int(bad.sum())}, the first at sample {row}",
                          expected="finite numbers, or NaN for recorded gaps",
                          hint="repair the record, or mark these samples as NaN")  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class Spectra(ReadOnly):
-    """Complex amplitudes of responses on frequency lines, ``y(t) = Re[Y exp(i 2 pi f t)]`` on each.
-
-    Parameters
-    ----------
-    frequencies : array, shape (lines,)
-        Hz, ascending.
-    values : array, shape (lines, sensors) or (lines,)
-        In the units of the channels.
-    channels : sequence of str or Channel, optional
-        Names of the columns; without them the columns are the sensors of the model in its order.
-    noise : float, array (sensors,) or (lines, sensors), optional
-        Standard deviation of the amplitudes, ``sqrt(E|error|^2)``.
-    noise_source : NoiseSource, str or (str, str), optional
-        Where that level comes from.
-    name : str
-
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, NaN, lines that do not ascend, a noise that is no standard deviation.
-    """
-
-    frequencies: NDArray[np.float64]
-    values: NDArray[np.complex128]
-    channels: Sequence[str | Channel] = ()
-    noise: ArrayLike | None = None
-    noise_source: NoiseSourceLike = None
-    name: str = "spectra"
-    labels: tuple[str, ...] = field(init=False, default=())
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "frequencies", _lines(self.frequencies))
-        put(self, "values", _values(self.values, len(self.frequencies)))
-        put(self, "channels", tuple(self.channels))
-        labels = tuple(c if isinstance(c, str) else c.label for c in self.channels)
-        count = self.values.shape[1]
-        if labels and (len(labels) != count or len(set(labels)) != count):
-            raise InputError("the channels do not fit the spectra", where="Spectra", found=labels,
-                             expected=f"{count} different names")  # fmt: skip
-        put(self, "labels", labels)
-        put(self, "noise_source", NoiseSource.of(self.noise_source))
-        if self.noise is not None:
-            put(self, "noise", _noise(self.noise, self.values.shape))
-
-
-def _lines(frequencies: ArrayLike) -> NDArray[np.float64]:
-    f = np.atleast_1d(reals(frequencies, what="these are no frequency lines", where="Spectra, frequencies"))
-    if f.ndim != 1 or not len(f) or not np.all(np.isfinite(f)) or f[0] < 0 or np.any(np.diff(f) <= 0):
-        raise InputError("these are no frequency lines", where="Spectra, frequencies", found=f"shape {f.shape}",
-                         expected="finite Hz, ascending, each line once, none negative",
-                         hint="negative frequencies: give the one-sided spectrum")  # fmt: skip
-    f.flags.writeable = False
-    return f
-
-
-def _values(values: ArrayLike, lines: int) -> NDArray[np.complex128]:
-    try:
-        x = np.array(plain(values), complex)
-    except (TypeError, ValueError):
-        raise InputError("these are no numbers", where="Spectra, values", expected="complex amplitudes") from None
-    x = x[:, None] if x.ndim == 1 else x
-    if x.ndim != 2 or len(x) != lines or not x.size:
-        found = f"shape {x.shape} on {lines} lines"
-        hint = "transpose it: lines come first" if x.ndim == 2 and x.shape[1] == lines else ""
-        raise InputError("spectra and lines do not fit", where="Spectra, values", found=found,
-                         expected=f"({lines}, sensors)", hint=hint)  # fmt: skip
-    if not np.all(np.isfinite(x)):
-        raise InputError("NaN or infinity", where="Spectra, values",
-                         found=f"{int(np.sum(~np.isfinite(x)))} of {x.size} values", expected="finite numbers",
-                         hint="leave out the lines that were not measured")  # fmt: skip
-    x.flags.writeable = False
-    return x
-
-
-def _noise(noise: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    level = reals(noise, what="the noise is no real number", where="Spectra, noise")
-    if level.shape not in ((), shape[1:], shape) or not np.all(np.isfinite(level)) or np.any(level <= 0):
-        found = f"shape {level.shape}" if level.ndim else f"{float(level):g}"
-        raise InputError("the noise does not fit the spectra", where="Spectra, noise", found=found,
-                         expected=f"positive: one number, {shape[1:]} or {shape}")  # fmt: skip
-    level.flags.writeable = False
-    return level

@@ -6,6 +6,7 @@ import datetime as dt
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import lru_cache
 from typing import Any
 
@@ -41,7 +42,8 @@ _COMPACT, _COLONS = re.compile(r"(\d{8}T\d\d)(\d\d)(\d\d)(?=\D|$)"), r"\1:\2:\3"
 _YEAR_FIRST = re.compile(r"(?P<y>\d{4})(?:(?P<s>[-/.])(?P<m>\d{1,2})(?P=s)(?P<d>\d{1,2})|(?P<mm>\d\d)(?P<dd>\d\d))")
 _YEAR_LAST = re.compile(r"(?P<a>\d{1,2})(?P<s>[-/.])(?P<b>\d{1,2})(?P=s)(?P<y>\d{4}|\d\d)")
 _NAMED = re.compile(
-    r"(?:(?P<d>\d{1,2})\.?[- ]?(?P<m>[^\W\d]{3,9})|(?P<m2>[^\W\d]{3,9})\.?[- ](?P<d2>\d{1,2}),?)\.?[- ]?(?P<y>\d{4})"
+    r"(?:(?P<d>\d{1,2})\.?[- ]?(?P<m>[^\W\d]{3,9})|(?P<m2>[^\W\d]{3,9})\.?[- ](?P<d2>\d{1,2}),?)\.?[- ]?"
+    r"(?P<y>\d{4}|\d\d)"
 )
 _OFFSET = re.compile(r"(?:UTC|GMT)?(?P<sign>[+-])(?P<hour>\d\d?)(?::?(?P<minute>\d\d))?")
 
@@ -143,9 +145,16 @@ def utc(when: float | str | dt.datetime | np.datetime64 | None, where: str = "st
                      expected="seconds since 1970 (UTC), or a text such as 2026-11-24T15:38:01Z")  # fmt: skip
 
 
-def iso(seconds: float) -> str:
-    """ISO 8601 text in UTC of a moment in s since 1970, to the microsecond."""
-    return dt.datetime.fromtimestamp(seconds, dt.UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+def nanoseconds(moment: float) -> int:
+    """Nanoseconds of a moment in s, of the decimals that tell the number from its neighbours."""
+    return round(Decimal(repr(float(moment))) * SECOND)
+
+
+def iso(moment: float) -> str:
+    """ISO 8601 text in UTC of a moment in s since 1970, with as many decimals as it needs, nine at most."""
+    whole, part = divmod(nanoseconds(moment), SECOND)
+    text = dt.datetime.fromtimestamp(whole, dt.UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    return text + (f".{part:09d}".rstrip("0") if part else "") + "Z"
 
 
 def seconds(text: str) -> float | None:
@@ -225,12 +234,15 @@ def _date(text: str) -> _Date | None:
     if found := _YEAR_FIRST.fullmatch(text):
         return _possible(_Date(int(found["d"] or found["dd"]), int(found["m"] or found["mm"]), int(found["y"])))
     if found := _YEAR_LAST.fullmatch(text):
-        year = int(found["y"]) + (2000 if len(found["y"]) == 2 else 0)
-        return _possible(_Date(int(found["a"]), int(found["b"]), year, found["s"] != "."))
+        return _possible(_Date(int(found["a"]), int(found["b"]), _year(found["y"]), found["s"] != "."))
     if found := _NAMED.fullmatch(text):
         month = MONTHS.get((found["m"] or found["m2"])[:3].casefold())
-        return None if month is None else _possible(_Date(int(found["d"] or found["d2"]), month, int(found["y"])))
+        return None if month is None else _possible(_Date(int(found["d"] or found["d2"]), month, _year(found["y"])))
     return None
+
+
+def _year(text: str) -> int:
+    return int(text) + (2000 if len(text) == 2 else 0)
 
 
 def _possible(date: _Date) -> _Date | None:
@@ -288,9 +300,13 @@ def _named_zone(name: str, where: str) -> Any:
     try:
         return zoneinfo.ZoneInfo(name)
     except (zoneinfo.ZoneInfoNotFoundError, ValueError, OSError):
-        raise InputError("a column of time stamps has no such unit", where=where, found=repr(name[:LONGEST]),
-                         expected="the order of its dates (DD/MM/YYYY or MM/DD/YYYY), its zone (Europe/Berlin, "
-                         "UTC+1), or both", hint="names of zones are those of the IANA time zone database") from None  # fmt: skip
+        raise InputError(
+            "a column of time stamps has no such unit",
+            where=where,
+            found=repr(name[:LONGEST]),
+            expected="the order of its dates (DD/MM/YYYY or MM/DD/YYYY), its zone (Europe/Berlin, UTC+1), or both",
+            hint="names of zones are those of the IANA time zone database",
+        ) from None
 
 
 def _days(dates: list[str], order: str | None, where: str) -> tuple[NDArray[np.int64] | None, list[str]]:

@@ -103,8 +103,17 @@ def real(value: Any) -> float | None:
 def plain(value: Any) -> Any:
     """`value` without a mask: NaN where a masked array, or one within a list, hides an entry; anything else as it is.
 
-    Every door that takes an array looks at it through this, as numpy's own conversions uncover what is hidden.
+    Every door that takes an array looks at it through this, as numpy's own conversions uncover what is hidden, and
+    strip units.
+
+    Raises
+    ------
+    InputError
+        A quantity of pint: a door that takes numbers takes them in SI.
     """
+    if type(value).__module__.partition(".")[0] == "pint":
+        raise InputError("a quantity of pint where numbers are expected", found=shown(value), expected="numbers in SI",
+                         hint="pass q.to_base_units().magnitude")  # fmt: skip
     if isinstance(value, list | tuple) and any(np.ma.isMaskedArray(one) for one in value):
         try:
             value = np.ma.array([np.ma.getdata(v) for v in value], mask=[np.ma.getmaskarray(v) for v in value])

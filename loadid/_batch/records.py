@@ -270,7 +270,7 @@ def read_record(path: str, reading: Mapping[str, Any]) -> Record:
 
 def _parquet(path: str, reading: Mapping[str, Any]) -> Record:
     """Columns of a Parquet file as channels, settled as those of any other table; stamps are a column of time."""
-    from .._readers.settle import settle
+    from .._readers import record_of
     from .._readers.source import Options, Source, Table
 
     try:
@@ -294,7 +294,7 @@ def _parquet(path: str, reading: Mapping[str, Any]) -> Record:
     stamps = [k for k, name in enumerate(kept) if pa.types.is_temporal(table.schema.field(name).type)]
     made = Table(values, Path(path).stem, tuple(kept), time=stamps[0] if stamps else None)
     given = {name: reading[name] for name in ("fs", "columns", "units") if reading.get(name) is not None}
-    return settle(made, source, Options(**given))
+    return record_of(made, source, Options(**given))
 
 
 def _is_number(kind: Any) -> bool:

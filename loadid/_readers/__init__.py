@@ -46,8 +46,9 @@ from structures._advice import Advice, either, from_plain, to_plain
 from structures._flags import Flag
 from structures.errors import InputError
 
-from .._record import Record, find
-from .settle import check_unit_keys, outlined, settle
+from .._names import find
+from .._record import Record
+from .settle import check_unit_keys, outlined, settled
 from .source import (
     BUDGET,
     Format,
@@ -265,7 +266,18 @@ def _chosen(found: list[Table], record: str | int | None, source: Source) -> Tab
 
 def _settle(table: Table, source: Source, options: Options, found: list[Table]) -> Record:
     check_unit_keys(found, source, options)
-    return settle(table, source, options)
+    return record_of(table, source, options)
+
+
+def record_of(table: Table, source: Source, options: Options) -> Record:
+    """The record of a table, its names, step and units settled.
+
+    Raises
+    ------
+    InputError
+        Wrong names, no step, missing or unknown units, a time column that is not uniform.
+    """
+    return Record(**settled(table, source, options))
 
 
 def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> T:

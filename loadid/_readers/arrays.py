@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from structures.files._mat_level5 import is_level5, read_level5
 
+from .. import _stamps
 from .settle import TIME_NAMES, distinct
 from .source import COLUMNS, RATE, Options, Source, Table, register, time_first
 
@@ -30,6 +31,7 @@ RATES = ("fs", "sampling_rate", "sample_rate", "sampling_frequency")
 STEPS = ("dt", "delta_t", "step")
 NAMES = ("channels", "labels", "columns", "names", "channel_names")
 UNITS = ("units", "unit")
+STARTS = ("start", "start_time")
 
 
 def tables_of(
@@ -51,7 +53,7 @@ def tables_of(
     InputError
         1-D arrays of different length, descriptions that do not fit.
     """
-    dt = step_of(arrays, source)
+    dt, start = step_of(arrays, source), start_of(arrays)
     names, units = texts_of(arrays, NAMES, source), texts_of(arrays, UNITS, source)
     numbers = {
         k: x for k, x in arrays.items() if x.dtype.kind in "fiu" and x.size and k.lower() not in (*RATES, *STEPS)
@@ -63,7 +65,7 @@ def tables_of(
     for key, x in numbers.items():
         if x.ndim != 2:
             continue
-        table = time_first(Table(x, name=key, columns=names, dt=dt), source, options)
+        table = time_first(Table(x, name=key, columns=names, dt=dt, start=start), source, options)
         columns = table.values.shape[1]
         fits = names is not None and len(names) == columns
         table = replace(
@@ -77,8 +79,15 @@ def tables_of(
             source.refuse("arrays of different length", str(lengths)[:300], "channels of one record, equally long",
                           "save arrays of one length")  # fmt: skip
         if len({len(x) for x in channels.values()}) == 1 and len(channels) <= COLUMNS:
-            tables.append(_joined(channels, clock, name or source.path.stem, dt, units, unit_of or {}))
+            joined = _joined(channels, clock, name or source.path.stem, dt, units, unit_of or {})
+            tables.append(replace(joined, start=start))
     return tables
+
+
+def start_of(values: dict[str, Any]) -> float | None:
+    """When a record began, of an entry named start that is an ISO 8601 text."""
+    texts = [str(np.asarray(x).reshape(-1)[0]) for k, x in values.items() if k.lower() in STARTS and np.size(x) == 1]
+    return next((found for text in texts if (found := _stamps.seconds(text)) is not None), None)
 
 
 def step_of(values: dict[str, Any], source: Source) -> float | None:
@@ -108,6 +117,8 @@ def texts_of(values: dict[str, Any], keys: tuple[str, ...], source: Source) -> t
         if np.size(x) > COLUMNS:
             source.refuse("too many names", f"{key}: {np.size(x)}", f"at most {COLUMNS}")
         flat = np.asarray(x).reshape(-1).tolist()
+        if len(flat) == 1 and isinstance(flat[0], str) and "\n" in flat[0]:  # a text with a line for each
+            flat = flat[0].split("\n")
         return tuple(t.decode("utf-8", "replace") if isinstance(t, bytes) else str(t) for t in flat)
     return None
 
@@ -362,7 +373,7 @@ class Walk:
 
         found: dict[str, Any] = {}
         for name in item.attrs:
-            if name.lower() not in (*NAMES, *UNITS, "fs", "dt", "sampling_rate", "sample_rate", "sampling_frequency"):
+            if name.lower() not in (*NAMES, *UNITS, *RATES, *STARTS, "dt"):
                 continue
             attribute = item.attrs.get_id(name)
             size = math.prod(attribute.shape) * max(attribute.dtype.itemsize, 1)

@@ -18,7 +18,7 @@ from structures._channels import Channel
 from structures.errors import InputError
 
 from .. import _stamps
-from .._record import Record, copy_of, find
+from .._names import copy_of, find
 from .source import COLUMNS, RATE, NotStated, Options, RecordOutline, Source, Table
 from .timebase import Base, fill, timebase
 
@@ -27,8 +27,8 @@ APART = 0.01  # relative difference of a stated and a recorded step that is a co
 TIME_LIKE = re.compile(r"\s*(t|time|zeit|timestamp)[\s_.\-(]", re.IGNORECASE)
 
 
-def settle(table: Table, source: Source, options: Options) -> Record:
-    """The record of a table.
+def settled(table: Table, source: Source, options: Options) -> dict[str, Any]:
+    """Arguments of the record of a table.
 
     Raises
     ------
@@ -53,18 +53,18 @@ def settle(table: Table, source: Source, options: Options) -> Record:
         described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
         recorded.append(unit.symbol)
         columns.append(_units.to_si(table.values[:, i], unit))
-    return Record(
-        np.column_stack(columns),
-        dt,
-        described,
-        units=recorded,
-        name=table.name,
-        source=str(source.path),
-        flags=table.flags,
-        notes=(*table.notes, *notes),
-        file_dt=None if options.fs is None else table.dt,
-        start=table.start,
-    )
+    return {
+        "values": np.column_stack(columns),
+        "dt": dt,
+        "channels": described,
+        "units": recorded,
+        "name": table.name,
+        "source": str(source.path),
+        "flags": table.flags,
+        "notes": (*table.notes, *notes),
+        "file_dt": None if options.fs is None else table.dt,
+        "start": table.start,
+    }
 
 
 def _refuse_missing_units(missing: list[str], source: Source) -> None:
@@ -101,7 +101,7 @@ def outlined(table: Table, source: Source, options: Options) -> RecordOutline:
     Raises
     ------
     InputError
-        As for `settle`, but for missing units and a missing step.
+        As for `settled`, but for missing units and a missing step.
     """
     table, dt = _stepped(_named(table, source, options), source, options)
     names = table.columns or ()
@@ -253,7 +253,7 @@ def _by_time(table: Table, column: int, source: Source, options: Options) -> tup
     elif start is not None and np.isfinite(raw[0]):
         start += float(raw[0]) * scale
     rounding = float(np.spacing(abs(float(table.values[0, column])))) * scale if since else 0.0
-    base = timebase(raw.astype(float) * scale, source, rounding)
+    base = timebase(raw.astype(float) * scale, source, rounding, table.dt)
     notes += [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time column {names[column]}{taken}"]
     keep = [i for i in range(len(names)) if i != column]
     if not keep:
@@ -277,7 +277,7 @@ def _by_stamps(table: Table, stamps: NDArray[Any], source: Source, options: Opti
         zero = column - column[0] if len(column) and np.isfinite(column[0]) else column
         values = np.column_stack([zero if i == table.time else x for i, x in enumerate(table.values.T)])
         return _by_time(replace(table, values=values), table.time, source, options)
-    base = timebase(found.seconds, source)
+    base = timebase(found.seconds, source, stated=table.dt)
     notes = [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time stamps in {table.clock}"]
     return _on_grid(table, base, table.clock, notes), base.dt
 

@@ -24,13 +24,13 @@ class Base:
     first: int = 0
 
 
-def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0) -> Base:
+def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0, stated: float | None = None) -> Base:
     """Step of a column of time stamps in s.
 
     Stamps that were rounded on writing still give the step that the instrument had: of the steps that fit all stamps,
     the one whose frequency is a whole number is taken, else the one with the fewest digits. Whole samples that are
     missing are kept as gaps; anything else that is not uniform is refused. `rounding` is what the numbers lost before
-    they came here.
+    they came here; a step that the file states beside them is taken where it fits them.
 
     Raises
     ------
@@ -63,7 +63,9 @@ def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0) -> B
         source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
                       "cut the record at the gap")  # fmt: skip
     first = int(np.argmax(np.diff(place) > 1)) if missing else 0
-    return Base(_snap(dt, float(place[-1]), slack_of(t, dt, place), n), place, missing, first)
+    away, count = slack_of(t, dt, place), float(place[-1])
+    fits = stated is not None and abs(stated - dt) <= max(_within(dt, count, away), 2.0 * rounding / count)
+    return Base(stated if fits and stated else _snap(dt, count, away), place, missing, first)
 
 
 def fill(values: NDArray[Any], base: Base) -> NDArray[np.float64]:
@@ -101,9 +103,14 @@ def _grid(t: NDArray[np.float64], typical: float, slack: float) -> tuple[float, 
     return dt, place
 
 
-def _snap(dt: float, count: float, away: float, samples: int) -> float:
+def _within(dt: float, count: float, away: float) -> float:
+    """How far the step may be from the one that the stamps were written with."""
+    return min(2.0 * away / count, 0.005 * dt)
+
+
+def _snap(dt: float, count: float, away: float) -> float:
     """The simplest step that fits the stamps: a whole frequency, else few digits."""
-    within = min(2.0 * away / count, 0.005 * dt)
+    within = _within(dt, count, away)
     whole = round(1.0 / dt)
     if whole >= 1 and abs(1.0 / whole - dt) <= within:
         return 1.0 / whole

@@ -19,6 +19,7 @@ from structures.errors import InputError
 from structures.files import _storage as storage
 
 from .._inverse.choice import Choice
+from . import tables
 from .facts import Facts, Grade, grade
 from .faults import SensorFault
 from .functionals import Functional, functional, resultants
@@ -398,6 +399,17 @@ class LoadEstimate:
         tree["grade"] = {**asdict(self.grade), "meaning": self.grade.meaning, "said": str(self.grade)}
         tree = archive.plain(tree)
         return tree if arrays else archive.without_arrays(tree)
+
+    def to_dataframe(self) -> Any:
+        """DataFrame of pandas over time or frequency: each load and, as ``LABEL std``, its standard deviation, in SI.
+
+        A static load has a row for each label, with ``load``, ``std`` and ``unit``. ``attrs["units"]`` holds the units.
+        """
+        return tables.to_dataframe(self)
+
+    def to_xarray(self) -> Any:
+        """Dataset of xarray with ``load``, ``std`` and, where it is known, ``bias``, in SI; units are a coordinate."""
+        return tables.to_xarray(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an HDF5 file with checksums, whole or not at all."""
