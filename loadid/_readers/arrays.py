@@ -153,7 +153,7 @@ def load_npy(source: Source, options: Options) -> list[Table]:
     return [time_first(Table(x, name=source.path.stem), source, options)]
 
 
-@register("NPZ", suffixes=(".npz",), sniff=lambda head: head.startswith(b"PK\x03\x04"))
+@register("NPZ", suffixes=(".npz",), sniff=lambda head: head.startswith(b"PK\x03\x04") and b".xml" not in head[30:200])
 def load_npz(source: Source, options: Options) -> list[Table]:
     """Every 2-D array as a record; 1-D arrays of one length together as one record."""
     arrays: dict[str, NDArray[Any]] = {}

@@ -195,9 +195,9 @@ def _heading(lines: list[str], layout: _Layout) -> tuple[tuple[str, ...] | None,
         return None, None
     bare = [_bare(c) for c in rows[0]]
     if len(rows) == 2 and all(not c or _units.known(c) for c in bare) and any(bare) and not _all_known(rows[1]):
-        names = [WITH_UNIT.fullmatch(n)["name"] if _split(n)[1] else n for n in rows[1]]  # type: ignore[index]
-        return tuple(names), tuple(c or _split(n)[1] for c, n in zip(bare, rows[1], strict=True))
-    pairs = [_split(c) for c in rows[0]]
+        names = [WITH_UNIT.fullmatch(n)["name"] if name_and_unit(n)[1] else n for n in rows[1]]  # type: ignore[index]
+        return tuple(names), tuple(c or name_and_unit(n)[1] for c, n in zip(bare, rows[1], strict=True))
+    pairs = [name_and_unit(c) for c in rows[0]]
     return tuple(n for n, _ in pairs), tuple(u for _, u in pairs)
 
 
@@ -219,7 +219,7 @@ def _all_known(cells: list[str]) -> bool:
     return all(_units.known(_bare(c)) for c in cells)
 
 
-def _split(cell: str) -> tuple[str, str | None]:
+def name_and_unit(cell: str) -> tuple[str, str | None]:
     """("acc", "m/s^2") of "acc [m/s^2]"; round brackets hold a unit only when they hold a known one."""
     match = WITH_UNIT.fullmatch(cell.strip())
     if match is None or not match["name"]:
