@@ -97,7 +97,8 @@ def read(
     Parameters
     ----------
     path : path
-        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM.
+        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
+        Parquet, Arrow and Feather, Excel, MCAP, ROS bags, miniSEED: docs/formats.md says what is read of each.
     record : str or int, optional
         Which record of a file that holds several: its name, or its index from 0.
     fs : float, optional
@@ -108,6 +109,8 @@ def read(
         Axis of an array that is time; default the longer one (said in ``record.notes``).
     units : dict, optional
         ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s.
+        A number before the unit is what 1 in the file stands for: ``"100 g"`` for a WAV file with 100 g at full scale,
+        ``"2e-6 m/s^2"`` for counts.
 
     Returns
     -------

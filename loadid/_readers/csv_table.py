@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from structures import units as _units
 from structures._flags import Flag
 
+from .curves import refuse_frfs
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
 TRIES = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
@@ -70,6 +71,7 @@ def load(source: Source, options: Options) -> list[Table]:
     )
     values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
     names, units = _heading(lines[: layout.first], layout)
+    refuse_frfs(names, source)
     return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
 
 

@@ -49,7 +49,7 @@ def settle(table: Table, source: Source, options: Options) -> Record:
     _refuse_missing_units([names[i] for i, text in texts.items() if not text], source)
     described, recorded, columns = [], [], []
     for i, text in texts.items():
-        unit = _units.parse(text, channel=names[i], where=str(source.path))
+        unit = (_units.stated if i in stated else _units.parse)(text, channel=names[i], where=str(source.path))
         described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
         recorded.append(unit.symbol)
         columns.append(_units.to_si(table.values[:, i], unit))
