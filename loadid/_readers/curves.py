@@ -11,7 +11,7 @@ import numpy as np
 
 from structures import units as _units
 from structures.files._curves import TIME, Curve, held, read_sdynpy
-from structures.files._frf_text import described, pairs_of
+from structures.files._frf_text import described, pairs_of, parted
 from structures.files._mat_level5 import read_structs
 from structures.files._recorded import StatedUnit
 from structures.files._simcenter import blocks_of, curves_of
@@ -53,7 +53,7 @@ def refuse_frfs(names: Sequence[str] | None, source: Source) -> None:
     InputError
         Says what the table is, and what reads it.
     """
-    if pairs := pairs_of(names or ()):
+    if pairs := pairs_of([parted(n)[0] for n in names or ()]):
         source.refuse("this is a table of FRFs over frequency, no record over time", described(pairs),
                       "samples over time", MODEL)  # fmt: skip
 

@@ -7,6 +7,7 @@ is an empty cell.
 from __future__ import annotations
 
 import datetime as dt
+import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -52,7 +53,8 @@ def load(source: Source, options: Options) -> list[Table]:
         source.allow(sum(m.file_size for m in archive.infolist()), "the workbook")
         if damaged := archive.testzip():
             source.refuse("the workbook is damaged", damaged, "parts with the checksum that stands in the archive")
-    book = openpyxl.load_workbook(source.path, read_only=True, data_only=True)
+    stream = io.BytesIO(source.data())  # a path would have to end in .xlsx
+    book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
     tables, passed = [], []
     try:
         for sheet in book.worksheets:
@@ -73,12 +75,15 @@ def _sheet(sheet: Any, source: Source, options: Options) -> list[Table]:
     width = max((len(r) for r in rows), default=0)
     dates = _dated(rows, width)
     starts = {}
-    for column, (first, stamps) in dates.items():
-        seconds, starts[column] = since(stamps)
+    for column, (first, stamps, dated) in dates.items():
+        seconds, begin = since(stamps)
+        starts[column] = begin if dated else None
         for row, value in zip(range(first, len(rows)), seconds, strict=True):
             if column < len(rows[row]) and rows[row][column] is not None:
                 rows[row][column] = float(value)
-    text = "".join("\t".join(map(_text, [*r, *[None] * (width - len(r))])) + "\n" for r in rows)
+    last = max((k for k, row in enumerate(rows) if any(isinstance(c, str) for c in row)), default=-1)
+    full = [[*r, *[None] * (width - len(r))] for r in rows]
+    text = "".join("\t".join(_text(c, k > last and bool(r)) for c in full[k]) + "\n" for k, r in enumerate(rows))
     shown = Sheet(source.path, source.size, source.head, text=text)
     try:
         (table,) = load_text(shown, options)
@@ -92,8 +97,8 @@ def _sheet(sheet: Any, source: Source, options: Options) -> list[Table]:
         return [table]
     time = next(iter(dates))
     units = tuple("s" if i in dates else u for i, u in enumerate(table.units or (None,) * width))
-    note = "the dates of a workbook name no time zone and are taken as UTC"
-    return [replace(table, units=units, time=time, start=starts[time], notes=(*table.notes, note))]
+    notes = [] if starts[time] is None else ["the dates of a workbook name no time zone and are taken as UTC"]
+    return [replace(table, units=units, time=time, start=starts[time], notes=(*table.notes, *notes))]
 
 
 def _rows(sheet: Any, source: Source) -> Iterator[list[Any]]:
@@ -115,8 +120,8 @@ def _rows(sheet: Any, source: Source) -> Iterator[list[Any]]:
         yield cells
 
 
-def _dated(rows: list[list[Any]], width: int) -> dict[int, tuple[int, Any]]:
-    """Columns that hold dates, times or durations from some row on to the end: that row, and the stamps."""
+def _dated(rows: list[list[Any]], width: int) -> dict[int, tuple[int, Any, bool]]:
+    """Columns that hold dates, times or durations to their end: the first row, the stamps, whether they have dates."""
     found = {}
     for column in range(width):
         cells = [row[column] if column < len(row) else None for row in rows]
@@ -128,7 +133,8 @@ def _dated(rows: list[list[Any]], width: int) -> dict[int, tuple[int, Any]]:
             first -= 1
         while first < len(cells) and cells[first] is None:
             first += 1
-        found[column] = (first, np.array([_stamp(c) for c in cells[first:]], "datetime64[us]"))
+        stamps = np.array([_stamp(c) for c in cells[first:]], "datetime64[us]")
+        found[column] = (first, stamps, kind in (dt.datetime, dt.date))
     return found
 
 
@@ -144,10 +150,10 @@ def _stamp(cell: Any) -> Any:
     return np.datetime64(cell, "us")
 
 
-def _text(cell: Any) -> str:
-    """A cell as a text table holds it: numbers with all their digits."""
+def _text(cell: Any, number: bool) -> str:
+    """A cell as a text table holds it: numbers with all their digits, NaN where among numbers there is none."""
     if cell is None:
-        return ""
+        return "nan" if number else ""
     if isinstance(cell, int | float) and not isinstance(cell, bool):
         return repr(cell)
     return " ".join(str(cell).split())

@@ -7,6 +7,7 @@ so themselves (ROS REP 103 and the definitions of geometry_msgs and sensor_msgs)
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
@@ -94,7 +95,7 @@ def load_mcap(source: Source, options: Options) -> list[Table]:
                 topic = topics.setdefault(channel.id, _Topic(channel.topic))
                 topic.add(record.log_time, decode(record.data))
                 left = _less(left, topic, source)
-    except (EndOfFile, InvalidMagic):
+    except (EndOfFile, InvalidMagic, struct.error):  # a recorder that was cut off
         if not count:
             raise
         declared = count + 1

@@ -226,9 +226,9 @@ def _headings(lines: list[str], separator: str | None, width: int) -> tuple[list
             break
     if not rows:
         return [""] * width, [""] * width
-    if len(rows) == 2 and pairs_of([_parted(c)[0] for c in rows[0]]) is None:
-        return [_parted(c)[0] for c in rows[1]], [c.strip("[]() ") if c.strip("[]()- ") else "" for c in rows[0]]
-    parted = [_parted(c) for c in rows[0]]
+    if len(rows) == 2 and pairs_of([parted(c)[0] for c in rows[0]]) is None:
+        return [parted(c)[0] for c in rows[1]], [c.strip("[]() ") if c.strip("[]()- ") else "" for c in rows[0]]
+    parted = [parted(c) for c in rows[0]]
     return [n for n, _ in parted], [u for _, u in parted]
 
 
@@ -241,7 +241,7 @@ def _words(line: str, width: int) -> list[str]:
     return []
 
 
-def _parted(cell: str) -> tuple[str, str]:
+def parted(cell: str) -> tuple[str, str]:
     """Name and unit of a heading."""
     match = _WITH_UNIT.fullmatch(cell.strip())
     if match is None:
