@@ -228,8 +228,8 @@ def _headings(lines: list[str], separator: str | None, width: int) -> tuple[list
         return [""] * width, [""] * width
     if len(rows) == 2 and pairs_of([parted(c)[0] for c in rows[0]]) is None:
         return [parted(c)[0] for c in rows[1]], [c.strip("[]() ") if c.strip("[]()- ") else "" for c in rows[0]]
-    cells = [parted(c) for c in rows[0]]
-    return [n for n, _ in cells], [u for _, u in cells]
+    named = [parted(c) for c in rows[0]]
+    return [n for n, _ in named], [u for _, u in named]
 
 
 def _words(line: str, width: int) -> list[str]:

@@ -171,7 +171,7 @@ POLAR = [F, abs(H[:, 0, 0]), np.angle(H[:, 0, 0], deg=True)]
 @pytest.mark.parametrize(
     ("heading", "columns", "separator", "decimal", "scale"),
     [
-        ("Frequency [Hz],Real 1+Z/5+Z [(m/s^2)/N],Imag 1+Z/5+Z,Real 2/5 [(m/s^2)/N],Imag 2/5", PARTS, ",", ".", 1),
+        ("Frequency [Hz],Real 1+Z/5+Z [(m/s^2)/N],Imag 1+Z/5+Z,Real 2/5+Z [(m/s^2)/N],Imag 2/5+Z", PARTS, ",", ".", 1),
         ("Analyser 9.1\nFrequency\tMagnitude 1Z+/5Z+\tPhase 1Z+/5Z+\nHz\tg/N\tdeg", POLAR, "\t", ".", G),
         ("Frequenz [Hz];Betrag 1+Z/5+Z [g/N];Phase 1+Z/5+Z [°]", POLAR, ";", ",", G),
         ("# f [Hz]  Re [m/s^2/N]  Im [m/s^2/N]", PARTS[:3], " ", ".", 1),
