@@ -216,10 +216,10 @@ class Record(ReadOnly):
         InputError
             Unknown channel or unit.
         """
-        wanted = {self.index(key): _units.parse(u, channel=str(key)) for key, u in _units.as_mapping(units).items()}
+        wanted = {self.index(key): _units.stated(u, channel=str(key)) for key, u in _units.as_mapping(units).items()}
         values, channels, recorded = np.array(self.values), list(self.channels), list(self.units)
         for i, unit in wanted.items():
-            values[:, i] = _units.to_si(_units.from_si(values[:, i], recorded[i]), unit)
+            values[:, i] = _units.to_si(_units.from_si(values[:, i], _units.stated(recorded[i])), unit)
             channels[i] = replace(channels[i], unit=unit.si, quantity=unit.quantity)
             recorded[i] = unit.symbol
         return replace(self, values=values, channels=tuple(channels), units=tuple(recorded))

@@ -92,6 +92,8 @@ _ALIASES = {
 }  # fmt: skip
 
 _POWERS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_NUMBER = r"(?:\d{1,20}\.?\d{0,20}|\.\d{1,20})(?:[eE][+-]?\d{1,3})?"
+_SCALED = re.compile(rf"(?P<times>{_NUMBER})\s*\*?\s*(?P<unit>[^\d\s*/].*)", re.DOTALL)
 _FACTOR = re.compile(r"([A-Za-zµμε°_][A-Za-zµμε°_.]*)(?:\^?\(?([+-]?\d{1,2})\)?)?")
 
 
@@ -150,6 +152,26 @@ def parse(text: str | Unit | None, *, channel: str = "", where: str = "") -> Uni
         near = _nearest(text.strip())
         _refuse("unknown unit", repr(text) + (f" (did you mean {near}?)" if near else ""), channel, where)
     return unit
+
+
+def stated(text: str | Unit | None, *, channel: str = "", where: str = "") -> Unit:
+    """Unit as a user states it: as `parse`, or a number in front of it, ``100 g``, for numbers that are parts of it.
+
+    What is 1 in a file is then 100 g: a full scale, or what one count of a converter stands for. Texts of files are
+    not read so, as "acc (5 g)" there may name a range.
+
+    Raises
+    ------
+    InputError
+        As `parse`; a number that is not positive.
+    """
+    match = _SCALED.fullmatch(text.strip()) if isinstance(text, str) else None
+    if match is None:
+        return parse(text, channel=channel, where=where)
+    unit, times = parse(match["unit"], channel=channel, where=where), float(match["times"])
+    if not (math.isfinite(times * unit.factor) and times * unit.factor > 0):
+        _refuse("the number in front of the unit is not positive", repr(text), channel, where)
+    return Unit(f"{match['times']} {unit.symbol}", times * unit.factor, unit.dimension, unit.quantity)
 
 
 def known(text: str) -> bool:
@@ -255,7 +277,7 @@ def assignments(texts: Iterable[str]) -> dict[str, str]:
                 expected=f"one for {channel}",
                 hint="name each channel once",
             )
-        parse(unit, channel=channel)
+        stated(unit, channel=channel)
         found[channel] = unit.strip()
     return found
 

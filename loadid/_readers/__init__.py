@@ -18,6 +18,9 @@ A reader compares what a file declares with what it delivers (`truncated` gives 
 before it unpacks, and never evaluates or unpickles anything. `rows_of` (`csv_table.py`) turns lines of text into
 numbers and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
 
+A package of the extra ``io`` is named by its module (``library="nptdms"``) and imported inside the function: where it
+lacks, the registry refuses the file with the line that installs it.
+
 With ``native=True`` it runs in a child process: a damaged file may hang or crash a parser that is a C library. One
 child serves all files; it is started by the first, killed when a file takes too long, and started again. Requests and
 answers are JSON and raw numbers over pipes, so nothing is unpickled on either side.
@@ -98,7 +101,8 @@ def read(
     Parameters
     ----------
     path : path
-        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM.
+        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
+        Parquet, Arrow and Feather, Excel, MCAP, ROS bags, miniSEED: docs/formats.md says what is read of each.
     record : str or int, optional
         Which record of a file that holds several: its name, or its index from 0.
     fs : float, optional
@@ -111,6 +115,8 @@ def read(
         ``{channel: unit}``, replaces what the file says; "arbitrary" is a unit. A time column takes one too, default s,
         or the epoch that its size tells; a column of time stamps takes the order of its dates (``"DD/MM/YYYY"``,
         ``"MM/DD/YYYY"``), its time zone (``"Europe/Berlin"``, ``"UTC+1"``), or both, parted by a blank.
+        A number before the unit is what 1 in the file stands for: ``"100 g"`` for a WAV file with 100 g at full scale,
+        ``"2e-6 m/s^2"`` for counts.
 
     Returns
     -------
@@ -176,7 +182,7 @@ def _scan(
     options = Options(fs=fs, columns=listed, axis=axis, units=_units.as_mapping(units))
     form = recognise(source)
     if form.native:
-        found = load_apart(form.name, source, options)
+        found = load_apart(form, source, options)
     else:
         found = guarded(source, lambda: form.load(source, options), form.name)
     if not found:
@@ -296,38 +302,47 @@ def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> 
 
 
 # -- formats that are read in a child process --------------------------------------------------------------------------
-PATIENCE = 4.0  # seconds that a small file may take
-SPEED = 1e7  # bytes per second that a large one must at least be read with
+PATIENCE = 4.0  # seconds that a small file may take; a large one, what the speed of its format allows
+LOADING = 60.0  # seconds that the import of a library may take
 _START = "import sys; sys.path.append(sys.argv[1]); from loadid._readers import asked_for, serve; serve(asked_for)"
 _lock = threading.Lock()
 _process: subprocess.Popen[bytes] | None = None
 _owner = 0
 
 
-def load_apart(form: str, source: Source, options: Options) -> list[Table]:
-    """Tables that the reader `form` finds, read in the child.
+def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
+    """Tables that the reader of a format finds, read in the child.
 
     Raises
     ------
     InputError
         What the reader raised; or the library crashed or did not come back in time.
     """
-    request = {"form": form, "path": str(source.path.resolve()), "shown": str(source.path), "axis": options.axis}
+    request = {"form": form.name, "path": str(source.path.resolve()), "shown": str(source.path), "axis": options.axis}
     with _lock:
         child = _running()
-        stdin, stdout = _pipes(child)
-        limit = PATIENCE + source.size / SPEED
+        pipes = _pipes(child)
+        limit = LOADING
         late = threading.Timer(limit, child.kill)
         late.start()
         try:
-            _send(stdin, request)
-            answer = _receive(stdout)
-            tables = [_unpack(entry, stdout) for entry in answer["tables"]] if "tables" in answer else []
+            if form.library:
+                _send(pipes[0], {"library": form.library})
+                _receive(pipes[1])
+            late.cancel()
+            limit = PATIENCE + source.size / form.speed
+            late = threading.Timer(limit, child.kill)
+            late.start()
+            _send(pipes[0], request)
+            answer = _receive(pipes[1])
+            tables = [_unpack(entry, pipes[1]) for entry in answer["tables"]] if "tables" in answer else []
         except (OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError):
             in_time = late.is_alive()
             stop()
             source.refuse(
-                f"the {form} library crashed on this file" if in_time else f"the {form} library hangs on this file",
+                f"the {form.name} library crashed on this file"
+                if in_time
+                else f"the {form.name} library hangs on this file",
                 "a damaged file" if in_time else f"no answer in {limit:.0f} s",
                 "an undamaged file",
                 "transfer or export it again",
@@ -364,6 +379,11 @@ def serve(tables: Callable[[dict[str, Any]], list[Table]]) -> None:
             request = _receive(wanted)
         except EOFError:
             return
+        if "library" in request:  # imported before the clock of the file runs
+            with contextlib.suppress(Exception):
+                importlib.import_module(request["library"])
+            _send(out, {"ready": True})
+            continue
         try:
             packed = [_pack(t) for t in tables(request)]
         except InputError as error:

@@ -5,7 +5,8 @@ or 1-D (the channels of their group). Attributes ``fs`` or ``dt``, ``channels`` 
 its group or on the root; ``unit`` on a 1-D dataset.
 
 Level 5 (-v6, -v7) is parsed here, 7.3 is HDF5 and therefore read in the child. MATLAB has no vectors: a matrix with one
-row or one column is taken as one. Complex arrays, cells and structs are no records; FRFs are a model, which
+row or one column is taken as one. Complex arrays, cells and structs are no records, but
+for the archives of SDynPy and the structs of Simcenter Testlab (`curves`); FRFs are a model, which
 ``structures.files.read_frfs`` reads.
 """
 
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from structures.files._mat_level5 import is_level5, read_level5
 
 from .. import _stamps
+from .curves import of_sdynpy, of_structs
 from .settle import TIME_NAMES, distinct
 from .source import COLUMNS, RATE, Options, Source, Table, register, time_first
 
@@ -164,7 +166,7 @@ def load_npy(source: Source, options: Options) -> list[Table]:
     return [time_first(Table(x, name=source.path.stem), source, options)]
 
 
-@register("NPZ", suffixes=(".npz",), sniff=lambda head: head.startswith(b"PK\x03\x04"))
+@register("NPZ", suffixes=(".npz",), sniff=lambda head: head.startswith(b"PK\x03\x04") and b".xml" not in head[30:200])
 def load_npz(source: Source, options: Options) -> list[Table]:
     """Every 2-D array as a record; 1-D arrays of one length together as one record."""
     arrays: dict[str, NDArray[Any]] = {}
@@ -173,6 +175,8 @@ def load_npz(source: Source, options: Options) -> list[Table]:
         if len(members) > MEMBERS:
             source.refuse("too many arrays", len(members), f"at most {MEMBERS}")
         source.allow(sum(m.file_size for m in members), "the archive")
+        if {"data.npy", "function_type.npy"} <= {m.filename for m in members}:
+            return of_sdynpy(source)
         for member in members:
             arrays[_key(member.filename, arrays, source)] = array_of(
                 _unpacked(archive, member, source), source, member.filename
@@ -408,6 +412,8 @@ _HDF5_MARKS = (b"\x00\x02IM", b"\x02\x00MI")
 def load_level5(source: Source, options: Options) -> list[Table]:
     """Records of a file that MATLAB wrote with -v6 or -v7."""
     arrays, others = read_level5(source.data(), str(source.path))
+    if "struct" in others.values() and (found := of_structs(source)):
+        return found
     return _tables(arrays, others, source, options)
 
 

@@ -18,6 +18,7 @@ from structures import units as _units
 from structures._flags import Flag
 
 from .. import _stamps
+from .curves import refuse_frfs
 from .settle import TIME_NAMES
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
@@ -78,6 +79,7 @@ def load(source: Source, options: Options) -> list[Table]:
         names = None if names is None else (*names[: at[0] + 1], *names[at[0] :])
         units = None if units is None else (*units[: at[0] + 1], *units[at[0] :])
     if not forms:
+        refuse_frfs(names, source)
         values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
         return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
     return [_with_stamps(clean, forms, names, units, flags, layout, source)]

@@ -49,7 +49,7 @@ def settled(table: Table, source: Source, options: Options) -> dict[str, Any]:
     _refuse_missing_units([names[i] for i, text in texts.items() if not text], source)
     described, recorded, columns = [], [], []
     for i, text in texts.items():
-        unit = _units.parse(text, channel=names[i], where=str(source.path))
+        unit = (_units.stated if i in stated else _units.parse)(text, channel=names[i], where=str(source.path))
         described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
         recorded.append(unit.symbol)
         columns.append(_units.to_si(table.values[:, i], unit))
@@ -177,7 +177,7 @@ def _named(table: Table, source: Source, options: Options) -> Table:
         written = tuple(n.strip() for n in table.columns)
         time = table.time
         if time is None:
-            likely = [i for i, n in enumerate(written) if n.lower() in TIME_NAMES]
+            likely = [i for i, n in enumerate(written) if n.lower() in TIME_NAMES and not _no_time(table, i)]
             nearly = [i for i, n in enumerate(written) if TIME_LIKE.match(n) and _looks_like_time(table.values[:, i])]
             time = next(iter(likely + nearly), None)
             _refuse_two_clocks(table, written, time, source)
@@ -210,6 +210,12 @@ def _named(table: Table, source: Source, options: Options) -> Table:
         source.refuse("column names are doubled", names, "unique names", "name every column once")
     named_time = [i for i, n in enumerate(names) if n.strip().lower() in TIME_NAMES]
     return replace(table, columns=tuple(names), time=named_time[0] if named_time else time)
+
+
+def _no_time(table: Table, column: int) -> bool:
+    """Whether a column has a unit that is none of time: T [mm] is a channel."""
+    text = table.units[column] if table.units else None
+    return bool(text and _units.known(text) and _units.parse(text).quantity != "time")
 
 
 def _looks_like_time(x: NDArray[Any]) -> bool:

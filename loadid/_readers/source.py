@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -200,6 +201,19 @@ def truncated(delivered: int, declared: int, what: str = "samples") -> Flag:
     )
 
 
+def since(stamps: NDArray[np.datetime64]) -> tuple[NDArray[np.float64], float | None]:
+    """Seconds after the first of some time stamps, exact to the nanosecond, and that first one in s since 1970.
+
+    NaN where a stamp is missing; no first one where all are.
+    """
+    good = ~np.isnat(stamps)
+    if not good.any():
+        return np.full(len(stamps), np.nan), None
+    first = stamps[good][0].astype("datetime64[ns]")
+    away = (stamps.astype("datetime64[ns]") - first).astype(np.int64)
+    return np.where(good, away / 1e9, np.nan), float(first.astype(np.int64)) / 1e9
+
+
 Loader = Callable[[Source, Options], list[Table]]
 
 
@@ -208,7 +222,8 @@ class Format:
     """One format: its name, its suffixes, whether some first bytes can be it, and its reader.
 
     A generic format (plain text) is asked after those that have a mark of their own. A native one is parsed by a C
-    library and therefore in a child process.
+    library and therefore in a child process, which must read so many bytes per second at least. The library is a
+    module of the extra ``io`` that the reader imports.
     """
 
     name: str
@@ -217,13 +232,22 @@ class Format:
     load: Loader
     generic: bool = False
     native: bool = False
+    library: str = ""
+    speed: float = 1e7
 
 
 _FORMATS: dict[str, Format] = {}
 
 
 def register(
-    name: str, *, suffixes: tuple[str, ...], sniff: Callable[[bytes], bool], generic: bool = False, native: bool = False
+    name: str,
+    *,
+    suffixes: tuple[str, ...],
+    sniff: Callable[[bytes], bool],
+    generic: bool = False,
+    native: bool = False,
+    library: str = "",
+    speed: float = 1e7,
 ) -> Callable[[Loader], Loader]:
     """Decorator that adds a reader, a function (source, options) -> list of tables.
 
@@ -239,6 +263,10 @@ def register(
         The format has no mark of its own.
     native : bool
         A C library parses it: run it where it can be killed.
+    library : str
+        Module that the reader imports, of a package of the extra ``io``; a file is refused in words where it lacks.
+    speed : float
+        Bytes per second that a native reader must at least make; what is slower is taken to hang.
 
     Raises
     ------
@@ -249,7 +277,8 @@ def register(
     def add(load: Loader) -> Loader:
         if name in _FORMATS:
             raise InputError("a format of this name is registered", where="readers", found=name)
-        _FORMATS[name] = Format(name, tuple(s.lower() for s in suffixes), sniff, load, generic, native)
+        taken = tuple(s.lower() for s in suffixes)
+        _FORMATS[name] = Format(name, taken, sniff, load, generic, native, library, speed)
         return load
 
     return add
@@ -271,8 +300,17 @@ def recognise(source: Source) -> Format:
     Raises
     ------
     InputError
-        If the content is of no format that the suffix allows and of no other one either.
+        If the content is of no format that the suffix allows and of no other one either, or the library that reads it
+        is not installed.
     """
+    form = _form(source)
+    if form.library and importlib.util.find_spec(form.library) is None:
+        source.refuse(f"{form.name} files are read by a package that is not installed", f"no {form.library}",
+                      form.library, "pip install 'loadid[io]'")  # fmt: skip
+    return form
+
+
+def _form(source: Source) -> Format:
     suffix = source.path.suffix.lower()
     for form in formats():
         if suffix in form.suffixes and form.sniff(source.head):

@@ -7,6 +7,7 @@ begins. The FRFs of such a file are a model and no record: ``structures.files.re
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,12 @@ def load(source: Source, options: Options) -> list[Table]:
     if not functions:
         source.refuse("the file holds no time response", file.holds(), "functions of type 1 (data set 58 or 58b)",
                       "structures.files.read_frfs reads the FRFs of such a file as a model")  # fmt: skip
+    others = len(file.functions) - len(functions)
+    passed = [f"of {file.holds()} only the time responses are read: structures.files.read_frfs reads FRFs as a model"]
     runs = _runs(functions)
     names = [""] if len(runs) == 1 else [f"run {k + 1}" for k in range(len(runs))]
-    return [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
+    tables = [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
+    return [replace(t, notes=(*t.notes, *passed)) for t in tables] if others else tables
 
 
 def _runs(functions: list[Function]) -> list[list[Function]]:

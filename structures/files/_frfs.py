@@ -5,27 +5,28 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import permutations
-from typing import TYPE_CHECKING, Any, NoReturn
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import units
-from .._channels import Channel, Dof
+from .._channels import Channel
 from .._models.tabulated import FrfModel
 from .._testing import kinds
 from ..errors import InputError
+from ._curves import of_curves, read_sdynpy, renamed
+from ._frf_text import TEXT, read_text
 from ._hdf5 import MatFile, read_mat
+from ._recorded import Asked, RecordedFrfs, StatedUnit, Units, agreed, labels_of, paired, refuse
 from ._storage import as_path
-from ._uff import SUFFIXES, StatedUnit, UffFile, ratio, read_uff, unit_of
+from ._uff import SUFFIXES, UffFile, ratio, read_uff, unit_of
 from ._uff_datasets import COHERENCE, FRF, MULTIPLE_COHERENCE, Function
 
 if TYPE_CHECKING:
     from .._models.tabulated import FrfModel
-
-Units = str | Mapping[str, str] | None
 
 
 def read_frfs(
@@ -41,7 +42,11 @@ def read_frfs(
     axes: Sequence[str] | None = None,
     frequency_unit: str = "Hz",
 ) -> FrfModel:
-    """FRFs of a universal file (UFF, UNV: data sets 58 and 58b) or of a MAT file (-v6, -v7, -v7.3), in SI.
+    """FRFs of a file, in SI.
+
+    Universal files (UFF, UNV: data sets 58 and 58b), MAT files (-v6, -v7, -v7.3: arrays; -v6, -v7: structs of
+    Simcenter Testlab), archives of SDynPy (.npz), and text tables over frequency with real and imaginary parts or
+    magnitudes and phases.
 
     Parameters
     ----------
@@ -49,8 +54,8 @@ def read_frfs(
     kind : {"accelerance", "mobility", "receptance"}, optional
         Needed where the file does not say what the responses are; must agree where it does.
     responses, references : sequence of DOFs or names, optional
-        Which of them, in this order; of a universal file all if left out. A MAT file names none: they are needed, in
-        the order of the array.
+        Which of them, in this order; all if left out. A MAT file of arrays names none: they are needed, in the order
+        of the array; so does a text table whose headings name none.
     response_unit, reference_unit : str or dict, optional
         Units of the numbers where the file does not state them, for all or by label: ``"g"``, ``{"12+Z": "m/s^2"}``.
     frf, frequencies : str, optional
@@ -59,7 +64,7 @@ def read_frfs(
         What the axes of that array are, such as ``("responses", "references", "lines")``; needed where the shape
         leaves it open.
     frequency_unit : str
-        Unit of the frequencies of a MAT file, ``Hz`` or ``rad/s``.
+        Unit of the frequencies of a MAT file or of a text table that names none, ``Hz`` or ``rad/s``.
 
     Returns
     -------
@@ -74,19 +79,39 @@ def read_frfs(
     """
     place = as_path(path)
     suffix = place.suffix.lower()
-    asked = Asked(str(place), kind, _labels(responses, "responses"), _labels(references, "references"),
+    asked = Asked(str(place), kind, labels_of(responses, "responses"), labels_of(references, "references"),
                    response_unit, reference_unit)  # fmt: skip
     if suffix in SUFFIXES:
         return _model(of_uff(read_uff(place), asked), asked)
     if suffix == ".mat":
-        return _model(of_mat(read_mat(place), asked, frf, frequencies, axes, frequency_unit), asked)
+        found = None if frf else _structs(place, asked)
+        if found is None:
+            found = of_mat(read_mat(place), asked, frf, frequencies, axes, frequency_unit)
+            kinds.check(kind, asked.path)  # nothing else says it
+        return _model(found, asked)
+    if suffix == ".npz":
+        return _model(of_curves(read_sdynpy(place), asked), asked)
+    if suffix in TEXT:
+        return _model(of_curves(renamed(read_text(place, frequency_unit), asked), asked), asked)
     raise InputError(
         "a file of a kind that holds no FRFs",
         where=str(place),
         found=place.suffix or "no suffix",
-        expected=", ".join([*SUFFIXES, ".mat"]),
+        expected=", ".join([*SUFFIXES, ".mat", ".npz", *TEXT]),
         hint="FrfModel.from_frf(frequencies, H, kind=...) takes arrays",
     )
+
+
+def _structs(place: Path, asked: Asked) -> RecordedFrfs | None:
+    """FRFs of the structs of a MAT file of level 5; None where it holds no such struct."""
+    from ._mat_level5 import LEVEL5_BUDGET, is_level5, read_structs
+    from ._simcenter import blocks_of, curves_of
+
+    if not place.is_file() or place.stat().st_size > LEVEL5_BUDGET or not is_level5(place.read_bytes()[:128]):
+        return None
+    blocks = list(blocks_of(read_structs(place.read_bytes(), str(place))))
+    curves = [c for name, block in blocks for c in curves_of(name, block, str(place))]
+    return of_curves(curves, asked) if curves else None
 
 
 def _model(found: RecordedFrfs, asked: Asked) -> FrfModel:
@@ -94,12 +119,13 @@ def _model(found: RecordedFrfs, asked: Asked) -> FrfModel:
     for note in found.notes:
         logging.getLogger(__name__).info("%s: %s", asked.path, note)
 
+    _refuse_open(found, asked)
     rows = [
-        _settled(label, said, asked.response_unit, "response_unit", asked.path)
+        _settled(label, said, asked.response_unit, asked.path)
         for label, said in zip(found.responses, found.response_units, strict=True)
     ]
     columns = [
-        _settled(label, said, asked.reference_unit, "reference_unit", asked.path)
+        _settled(label, said, asked.reference_unit, asked.path)
         for label, said in zip(found.references, found.reference_units, strict=True)
     ]
     sensors = [Channel(label=n, quantity=u.quantity, unit=u.si) for n, u in zip(found.responses, rows, strict=True)]
@@ -121,21 +147,51 @@ def _model(found: RecordedFrfs, asked: Asked) -> FrfModel:
     return model.judged()
 
 
-def _settled(label: str, said: StatedUnit, stated: Units, argument: str, path: str) -> units.Unit:
+def _stated(label: str, stated: Units) -> str | None:
+    """What the caller says of the unit of one channel."""
+    return stated.get(label) if isinstance(stated, Mapping) else stated
+
+
+def _refuse_open(found: RecordedFrfs, asked: Asked) -> None:
+    """Nothing, if the unit of every channel is known; else an error that names all that are open."""
+    open_: dict[str, list[tuple[str, StatedUnit]]] = {}
+    for argument, labels, said, stated in (
+        ("response_unit", found.responses, found.response_units, asked.response_unit),
+        ("reference_unit", found.references, found.reference_units, asked.reference_unit),
+    ):
+        lacking = [(n, s) for n, s in zip(labels, said, strict=True) if s.unit is None and _stated(n, stated) is None]
+        if lacking:
+            open_[argument] = lacking
+    if not open_:
+        return
+    every = [pair for pairs in open_.values() for pair in pairs]
+    names = ", ".join([f"{n}{f' ({s.quantity})' if s.quantity else ''}" for n, s in every][:50])
+    hints = [
+        f'{a}="{_example(pairs[0][1])}"' if len({s.quantity for _, s in pairs}) == 1
+        else f'{a}={{"{pairs[0][0]}": "{_example(pairs[0][1])}", ...}}'
+        for a, pairs in open_.items()
+    ]  # fmt: skip
+    raise InputError(
+        f"the unit of {names} is not known" if len(every) == 1 else f"the units of {names} are not known",
+        where=asked.path,
+        found="; ".join(dict.fromkeys(s.why for _, s in every)),
+        expected="a unit for each, such as m/s^2, g, N",
+        hint="state it: " + " and ".join(hints),
+        code="LID-W208",
+    )
+
+
+def _example(said: StatedUnit) -> str:
+    return units.si_symbol(said.quantity) if said.quantity and said.quantity != "other" else "UNIT"
+
+
+def _settled(label: str, said: StatedUnit, stated: Units, path: str) -> units.Unit:
     """The unit of one channel: what the caller states, else what the file says."""
-    text = stated.get(label) if isinstance(stated, Mapping) else stated
+    text = _stated(label, stated)
     if text is None:
-        if said.unit is None:
-            raise InputError(
-                f"the unit of {label} is not known",
-                where=path,
-                found=said.why,
-                expected="a unit such as m/s^2, g, N",
-                hint=f'state it: {argument}="g", or {argument}={{"{label}": "g"}}',
-                code="LID-W208",
-            )
+        assert said.unit is not None  # refused before
         return said.unit
-    unit = units.parse(text, channel=label, where=path)
+    unit = units.stated(text, channel=label, where=path)
     if said.quantity is not None and unit.quantity != said.quantity:
         refuse(path, f"the unit of {label} contradicts the file", f"{unit.symbol} ({unit.quantity})", said.quantity)
     return unit
@@ -147,7 +203,7 @@ def _check_kind(sensors: Sequence[Channel], asked: Asked) -> None:
     Motions of several kinds, turning ones and strains may stand side by side: each sensor says what it is.
     """
     found = {s.quantity for s in sensors}
-    if "arbitrary" in found or asked.path.lower().endswith(".mat"):  # nothing else says it
+    if "arbitrary" in found:  # nothing else says it
         kinds.check(asked.kind, asked.path)
     if asked.kind is None:
         return
@@ -161,61 +217,6 @@ def _check_kind(sensors: Sequence[Channel], asked: Asked) -> None:
             hint="leave kind out where the file says it, and convert with model.as_kind(...)",
             code="LID-W208",
         )
-
-
-def _labels(given: Sequence[Any] | None, what: str) -> tuple[str, ...] | None:
-    """Labels of DOFs in their one form, and names as they are."""
-    if given is None:
-        return None
-    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
-        raise InputError(
-            "no list of DOFs", where=f"read_frfs, {what}", found=repr(given)[:60], expected='["1+Z", "2+Z"]'
-        )
-    labels = tuple(_label(g) for g in given)
-    if len(set(labels)) < len(labels):
-        refuse(f"read_frfs, {what}", f"{what} are doubled", labels, "each once")
-    return labels
-
-
-def _label(given: Any) -> str:
-    try:
-        return str(Dof.parse(given))
-    except InputError:
-        if not isinstance(given, str) or not given.strip():
-            raise
-        return given.strip()
-
-
-# -- what a file holds, as one table ------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Asked:
-    """What the caller stated."""
-
-    path: str
-    kind: str | None
-    responses: tuple[str, ...] | None
-    references: tuple[str, ...] | None
-    response_unit: Units
-    reference_unit: Units
-
-
-@dataclass(frozen=True)
-class RecordedFrfs:
-    """FRFs as recorded: lines (Hz), table (lines, responses, references), labels, units, coherence, decisions."""
-
-    frequencies: NDArray[np.float64]
-    H: NDArray[np.complex128]
-    responses: tuple[str, ...]
-    references: tuple[str, ...]
-    response_units: tuple[StatedUnit, ...]
-    reference_units: tuple[StatedUnit, ...]
-    coherence: NDArray[np.float64] | None = None
-    notes: tuple[str, ...] = ()
-
-
-def refuse(where: str, what: str, found: object, expected: object, hint: str = "") -> NoReturn:
-    """Raise an InputError that names the file."""
-    raise InputError(what, where=where, found=found, expected=expected, hint=hint)
 
 
 ROLES = ("lines", "responses", "references")
@@ -326,18 +327,7 @@ def of_uff(file: UffFile, asked: Asked) -> RecordedFrfs:
         pairs[pair] = function
     if not pairs:
         refuse(file.path, "the file holds no FRF", file.holds(), "functions of type 4", "loadid.read reads a record")
-    responses = _chosen(asked.responses, [r for r, _ in pairs], "responses", file.path)
-    references = _chosen(asked.references, [c for _, c in pairs], "references", file.path)
-    missing = [f"{r} / {c}" for r in responses for c in references if (r, c) not in pairs]
-    if missing:
-        refuse(
-            file.path,
-            f"{len(missing)} of {len(responses) * len(references)} pairs of response and reference are missing",
-            ", ".join(missing[:12]) + (", ..." if len(missing) > 12 else ""),
-            "an FRF of every response to every reference",
-            "choose with responses= and references=, or export all of them in one file",
-        )
-    rows = [[pairs[r, c] for c in references] for r in responses]
+    responses, references, rows = paired(pairs, asked)
     first = rows[0][0]
     lines = _hertz(first, file.path)
     for function in (f for row in rows for f in row):
@@ -349,8 +339,8 @@ def of_uff(file: UffFile, asked: Asked) -> RecordedFrfs:
         H,
         responses,
         references,
-        tuple(_agreed([pair[0] for pair in row], r, file.path) for r, row in zip(responses, said, strict=True)),
-        tuple(_agreed([row[j][1] for row in said], c, file.path) for j, c in enumerate(references)),
+        tuple(agreed([pair[0] for pair in row], r, file.path) for r, row in zip(responses, said, strict=True)),
+        tuple(agreed([row[j][1] for row in said], c, file.path) for j, c in enumerate(references)),
         _coherence(file, first, responses, references),
         (*file.notes, *dict.fromkeys(note for row in rows for f in row for note in f.notes)),
     )
@@ -367,24 +357,6 @@ def _said(function: Function, file: UffFile) -> tuple[StatedUnit, StatedUnit]:
         unit_of(over, function.head.response[2], file.system),
         unit_of(under, function.head.reference[2], file.system),
     )
-
-
-def _agreed(said: list[StatedUnit], label: str, path: str) -> StatedUnit:
-    """The unit of a response or reference that all its FRFs state."""
-    for other in said[1:]:
-        a, b = said[0], other
-        if (a.quantity, a.unit and (a.unit.factor, a.unit.dimension)) != (
-            b.quantity,
-            b.unit and (b.unit.factor, b.unit.dimension),
-        ):
-            refuse(
-                path,
-                f"the FRFs of {label} are in different units",
-                " and ".join(str(s.unit.symbol if s.unit else s.why) for s in (a, b)),
-                "one unit",
-                "export them in one unit",
-            )
-    return said[0]
 
 
 def _hertz(function: Function, path: str) -> NDArray[np.float64]:
@@ -434,13 +406,3 @@ def _coherence(
         return None
     table = np.stack([found[r] for r in responses], axis=1)
     return table if np.all((table >= 0) & (table <= 1)) else None
-
-
-def _chosen(asked: tuple[str, ...] | None, found: list[str], what: str, path: str) -> tuple[str, ...]:
-    known = list(dict.fromkeys(found))
-    if asked is None:
-        return tuple(known)
-    for label in asked:
-        if label not in known:
-            refuse(path, f"{label} is none of the {what}", ", ".join(known[:30]), f"one of these {what}")
-    return asked

@@ -1,12 +1,14 @@
 """MAT files of level 5 (-v6, -v7): plain arrays of numbers and texts, sizes checked before unpacking.
 
-Only what a measured record needs is read; cells, structs, objects and sparse matrices are listed and never built.
+Only what a measured record needs is read: arrays, and where they are asked for (`read_structs`) structs and cells that
+hold such; objects and sparse matrices are listed and never built.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -24,7 +26,9 @@ _MATRIX, _COMPRESSED, _UTF8, _UTF16 = 14, 15, 16, 17
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # class of an array in MATLAB -> what it becomes
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-_CHAR = 4
+_CHAR, _CELL, _STRUCT = 4, 1, 2
+DEPTH = 12  # levels of structs and cells
+PARTS = 100_000  # values within all structs of a file
 _OTHERS = {1: "cell", 2: "struct", 3: "object", 5: "sparse", 16: "function", 17: "opaque object", 18: "object"}
 
 
@@ -55,9 +59,34 @@ def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray[Any]], dict[s
     """
     if not is_level5(data):
         _refuse(path, "no MAT file of level 5", data[:20], "a file that MATLAB writes with -v6 or -v7")
-    reader = _Reader(path, MARKS[data[124:128]], min(LEVEL5_BUDGET, max(FREE, EXPANSION * len(data))))
     arrays: dict[str, NDArray[Any]] = {}
     others: dict[str, str] = {}
+    for name, value in _variables(data, path, nested=False):
+        if name in arrays or name in others or len(arrays) + len(others) >= VARIABLES:
+            _refuse(path, "a variable comes twice, or there are too many", name, f"{VARIABLES} names")
+        if isinstance(value, str):
+            others[name] = value
+        else:
+            arrays[name] = value
+    return arrays, others
+
+
+def read_structs(data: bytes, path: str) -> dict[str, Any]:
+    """Structs of a file by their names: dictionaries of arrays, texts (str), dictionaries and lists.
+
+    A struct array and a cell are lists; what else MATLAB has is None.
+
+    Raises
+    ------
+    InputError
+        As `read_level5`; structs that are nested too deep or hold too much.
+    """
+    return {name: v for name, v in _variables(data, path, nested=True) if isinstance(v, dict | list)}
+
+
+def _variables(data: bytes, path: str, *, nested: bool) -> Iterator[tuple[str, Any]]:
+    """Names and values of all variables; of structs and cells what they hold, if it is asked for, else the word."""
+    reader = _Reader(path, MARKS[data[124:128]], min(LEVEL5_BUDGET, max(FREE, EXPANSION * len(data))))
     at = HEADER
     while at < len(data):
         tag = reader.tag(data, at, padded=False)
@@ -70,22 +99,15 @@ def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray[Any]], dict[s
         if inner.type != _MATRIX:
             _refuse(path, "no variable", f"data element of type {inner.type}", "an array", at)
         if inner.size:
-            name, value = reader.matrix(body, inner, at)
-            if name in arrays or name in others or len(arrays) + len(others) >= VARIABLES:
-                _refuse(path, "a variable comes twice, or there are too many", name, f"{VARIABLES} names", at)
-            if isinstance(value, str):
-                others[name] = value
-            else:
-                arrays[name] = value
+            yield reader.nested(body, inner, at, 0) if nested else reader.matrix(body, inner, at)
         at = tag.beyond
-    return arrays, others
 
 
 class _Reader:
     """One pass over a file: byte order, and how many bytes may still be unpacked."""
 
     def __init__(self, path: str, order: str, left: int) -> None:
-        self.path, self.order, self.left = path, order, left
+        self.path, self.order, self.left, self.parts = path, order, left, PARTS
 
     def tag(self, data: bytes, at: int, *, padded: bool = True) -> Tag:
         """The data element at a byte, which must lie within the data."""
@@ -130,9 +152,46 @@ class _Reader:
             _refuse(self.path, "a compressed variable is cut or damaged", f"{len(body)} bytes", f"{size + 8}", at)
         return body
 
-    def matrix(self, data: bytes, whole: Tag, at: int) -> tuple[str, NDArray[Any] | str]:
-        """Name and numbers of an array; of what is none, the word for it."""
-        data = data[: whole.start + whole.size]
+    def nested(self, data: bytes, whole: Tag, at: int, depth: int) -> tuple[str, Any]:
+        """Name and value of a variable or of a part of one, structs and cells with what they hold."""
+        self.parts -= 1
+        if depth > DEPTH or self.parts < 0:
+            _refuse(self.path, "structs are nested too deep, or hold too much", f"level {depth}", f"{DEPTH} levels", at)
+        if not whole.size:
+            return "", None
+        name, flags, sizes, beyond = self.head(data, whole, at)
+        kind = flags & 0xFF
+        if kind not in (_CELL, _STRUCT):
+            _, value = self.matrix(data, whole, at)
+            if isinstance(value, str):
+                return name, None
+            return name, value.item() if value.dtype.kind == "U" else value
+        count, fields = math.prod(sizes), [""]
+        if kind == _STRUCT:
+            width_tag = self.tag(data, beyond)
+            names_tag = self.tag(data, width_tag.beyond)
+            width, beyond = int(self.values(data, width_tag, at)[0]), names_tag.beyond
+            raw = data[names_tag.start : names_tag.start + names_tag.size]
+            if not 0 < width <= 64 or len(raw) % width:
+                _refuse(self.path, "a struct is damaged", f"{name!r}: names of {width} bytes", "1 to 64 bytes", at)
+            fields = [raw[i : i + width].split(b"\0")[0].decode("latin-1") for i in range(0, len(raw), width)]
+        if count * len(fields) > self.parts:
+            _refuse(self.path, "a struct holds too much", f"{name!r}: {count * len(fields)} parts", f"{PARTS}", at)
+        found: list[Any] = []
+        for _ in range(count):
+            row: dict[str, Any] = {}
+            for field in fields:
+                tag = self.tag(data, beyond)
+                if tag.type != _MATRIX or tag.start + tag.size > whole.start + whole.size:
+                    _refuse(
+                        self.path, "a struct is damaged", f"{name!r}: type {tag.type}", "an array in each field", at
+                    )
+                row[field], beyond = self.nested(data, tag, at, depth + 1)[1], tag.beyond
+            found.append(row if kind == _STRUCT else row[""])
+        return name, found[0] if kind == _STRUCT and count == 1 else found
+
+    def head(self, data: bytes, whole: Tag, at: int) -> tuple[str, int, tuple[int, ...], int]:
+        """Name, flags and sizes of an array, and where its values begin."""
         flags_tag = self.tag(data, whole.start)
         flags = self.values(data, flags_tag, at)
         sizes_tag = self.tag(data, flags_tag.beyond)
@@ -143,19 +202,25 @@ class _Reader:
             _refuse(
                 self.path, "the header of a variable is damaged", f"{name!r}, sizes {sizes}", "two sizes or more", at
             )
-        kind = int(flags[0]) & 0xFF
+        return name, int(flags[0]), sizes, name_tag.beyond
+
+    def matrix(self, data: bytes, whole: Tag, at: int) -> tuple[str, NDArray[Any] | str]:
+        """Name and numbers of an array; of what is none, the word for it."""
+        data = data[: whole.start + whole.size]
+        name, flags, sizes, start = self.head(data, whole, at)
+        kind = flags & 0xFF
         if kind in _OTHERS:
             return name, _OTHERS[kind]
         if kind not in _CLASSES and kind != _CHAR:
             _refuse(self.path, "a variable of an unknown class", f"{name!r}: class {kind}", "an array of numbers", at)
         count = math.prod(sizes)
         self.allow(16 * count, at)
-        real_tag = self.tag(data, name_tag.beyond)
+        real_tag = self.tag(data, start)
         if kind == _CHAR:
             return name, self.text(data, real_tag)
         part = self.part(data, real_tag, count, kind, name, at)
         beyond = real_tag.beyond
-        if int(flags[0]) & 0x0800:
+        if flags & 0x0800:
             imag_tag = self.tag(data, beyond)
             both = np.empty(count, np.result_type(part, np.complex64))
             both.real, both.imag = part, self.part(data, imag_tag, count, kind, name, at)

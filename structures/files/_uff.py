@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .. import units
 from ..errors import InputError
+from ._recorded import StatedUnit
 from ._storage import as_path
 from ._uff_datasets import Block, Function, function_of, split
 from ._uff_records import AxisRecord, Place, numbers, text_of
@@ -50,15 +51,6 @@ class System:
     length: float
     force: float
     name: str = ""
-
-
-@dataclass(frozen=True)
-class StatedUnit:
-    """What a file says of a unit: itself or None, the quantity where the type tells it, why there is no unit."""
-
-    unit: units.Unit | None
-    quantity: str | None = None
-    why: str = ""
 
 
 def system_of(block: Block, place: Place) -> System:

@@ -110,7 +110,10 @@ def mat(compressed=True, **arrays) -> bytes:
 
 
 def small_files(folder: Path) -> dict[str, Path]:
-    """One valid small file per format, by its suffix."""
+    """One valid small file per format whose library is installed, by its suffix."""
+    from .exports import exports  # which takes the numbers of this module
+
+    exports(folder)
     (folder / "a.csv").write_text(csv())
     (folder / "a.lvm").write_text(lvm())
     (folder / "a.npy").write_bytes(npy(np.column_stack((T, F, A))))
