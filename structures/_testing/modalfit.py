@@ -21,7 +21,7 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STEPS = 30  # of Gauss and Newton, at most
-DONE = 1e-7  # relative fall of the misfit that ends them
+DONE = 1e-6  # relative fall of the misfit that ends them
 HALVINGS = 8
 EXTRA = 6  # modes that the residual of a fit may add
 GUESSED = 0.01  # damping ratio with which they begin
@@ -330,7 +330,7 @@ def extended(band: FrfBand, fit: ModalFit) -> ModalFit:
         at = 2 * np.pi * band.f[line]
         v = linalg.svd(fit.residual[line] / band.std[line])[2][:1]
         p, u = np.append(fit.poles, complex(-GUESSED * at, at)), np.concatenate([fit.participation, v])
-        trial = fitted(band, p, turned(u), completed(band, p, u), np.append(fit.stayed, False))
+        trial = fitted(band, p, turned(u), fit.rest, np.append(fit.stayed, False))
         gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
         apart = np.abs(trial.poles[-1] - trial.poles[:-1]) > np.abs(trial.poles[-1].real + trial.poles[:-1].real)
         if gain < _unknowns(band) * np.log(size) or not apart.all() or -trial.poles[-1].real > DAMPED * abs(trial.poles[-1]):

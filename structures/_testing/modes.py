@@ -32,7 +32,7 @@ LEAST = 16  # lines of a band
 SMALL = 1e-6  # of the rms of an entry, below which its std is not believed
 MISFIT = 1.5  # mean squared residual over the stated variance, above which the residuals say what the std is
 VAGUE = 0.2  # relative std of a damping ratio
-NARROW = 2.0  # lines within the half-power bandwidth
+NARROW = 4.0  # lines within the half-power bandwidth: three of them make damping 2 % too large by a Hann window
 LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
@@ -199,7 +199,7 @@ def identify_modes(
     band : tuple of float, optional
         First and last frequency in Hz; all lines above 0 Hz where not given.
     order : int, optional
-        Highest order of the polynomials; by default so many that they have 60 poles.
+        Highest order of the polynomials; by default so many that they have 100 poles.
     kind : {"accelerance", "mobility", "receptance"}, optional
         What responses of unknown quantity are.
     driven : (sensor, load), optional

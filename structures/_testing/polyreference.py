@@ -18,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 ROUND = 0.75  # share of the unit circle that the band takes: poles beyond its ends have room there
 REFERENCES = 6  # more of them are compressed to so many before poles are looked for
-ORDERS = 60  # poles of the highest order, where nobody says
+ORDERS = 100  # poles of the highest order, where nobody says
 STABLE_FREQUENCY, STABLE_DAMPING, STABLE_MAC = 0.01, 0.05, 0.95  # from one order to the next
 NEAR = 0.5  # distance of two poles over the sum of their decay rates, up to which they may be one
 DAMPED = 0.25  # damping ratio above which nothing is a mode of a structure
