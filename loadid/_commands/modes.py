@@ -119,7 +119,8 @@ def show(data: dict[str, Any]) -> str:
         f"{len(data['modes'])} modes from {data['band'][0]:.5g} to {data['band'][1]:.5g} Hz; "
         f"{len(data['sensors'])} sensors, {len(data['loads'])} loads",
         table(rows),
-        f"  left out: {data['unstable_poles']} poles that grow, over all orders; {data['dropped']} that explain nothing",
+        f"  left out: {data['unstable_poles']} poles that grow, over all orders; "
+        f"{data['dropped']} that explain nothing",
     ]
     if not data["scaled"]:
         lines.append("  no driven point: the model knows the forces of the test alone (--driven SENSOR,LOAD)")
@@ -128,7 +129,7 @@ def show(data: dict[str, Any]) -> str:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("source", nargs="+", metavar="FRFS|RECORDS",
-                        help="FRFs (universal file, model file; several: one driven place each), or logs of a test")  # fmt: skip
+                        help="FRFs (universal or model file; several: one driven place each), or logs")  # fmt: skip
     parser.add_argument("--force", type=channels, metavar="CH,...", help="force channels of logs")
     parser.add_argument("--response", type=channels, metavar="CH,...", help="channels of the sensors")
     parser.add_argument("--band", type=band, metavar="LOW:HIGH", help="band in Hz; default all lines")

@@ -140,7 +140,9 @@ class ModalModel(Model):
         whole = self._errors.variance(f, self._kind)
         whole = whole.transpose(0, 2, 1) if self._turned else whole
         r = self._reduced
-        size = (2 * np.pi * f[:, None]) ** (2.0 * (r.derivative - self._kind)) if np.any(r.derivative != self._kind) else 1
+        size = (
+            (2 * np.pi * f[:, None]) ** (2.0 * (r.derivative - self._kind)) if np.any(r.derivative != self._kind) else 1
+        )
         size = size * np.abs(highpass(f, r.corner)) ** 2
         return np.asarray(whole[:, self._rows][:, :, self._columns] * size[:, :, None])
 
@@ -234,7 +236,9 @@ class ModalModel(Model):
         }  # fmt: skip
         reduced = {name: getattr(self._reduced, name) for name in REDUCED}
         flags = [f.to_dict() for f in self.flags]
-        storage.write(path, {"reduced": reduced, "errors": errors, **settings, "flags": flags, **self._as_stored()}, FILE)
+        storage.write(
+            path, {"reduced": reduced, "errors": errors, **settings, "flags": flags, **self._as_stored()}, FILE
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ModalModel:

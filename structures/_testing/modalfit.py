@@ -20,10 +20,11 @@ from .spectra import smooth_lines
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-STEPS = 30  # of Gauss and Newton, at most
+STEPS, QUICK = 20, 5  # of Gauss and Newton, at most: at the end, and while modes come and go
 DONE = 1e-6  # relative fall of the misfit that ends them
 HALVINGS = 8
-EXTRA = 6  # modes that the residual of a fit may add
+LEAST = 0.3  # of its decay rate that a pole keeps in one step
+EXTRA = 4  # modes that the residual of a fit may add
 GUESSED = 0.01  # damping ratio with which they begin
 DAMPED = 0.25  # and beyond which there is no mode
 LAGS = 4  # lines over which errors of an estimated FRF are correlated, at most
@@ -54,7 +55,7 @@ class FrfBand:
     @property
     def s(self) -> Complex:
         """``i omega`` of every line."""
-        return 2j * np.pi * self.f
+        return np.asarray(2j * np.pi * self.f, complex)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,23 +230,27 @@ def turned(v: Complex) -> Complex:
 
 
 def fitted(
-    band: FrfBand, poles: Complex, participation: Complex, rest: Sequence[float], stayed: NDArray[np.bool_]
+    band: FrfBand,
+    poles: Complex,
+    participation: Complex,
+    rest: Sequence[float],
+    stayed: NDArray[np.bool_],
+    steps: int = STEPS,
 ) -> ModalFit:
     """Poles and participations of maximum likelihood, begun at some.
 
-    Gauss and Newton with steps that are halved while they do not lower the misfit, or push a pole out of the left half
-    plane or far out of the band.
+    Gauss and Newton with steps that are halved while they do not lower the misfit; a pole that is vague holds none of
+    the others back.
     """
     v = turned(participation)
     problem = _Problem(band, rest)
     p, (cost, psi, residual) = poles, problem.solved(poles, v)
-    for _ in range(STEPS):
+    for _ in range(steps):
         R, right, _slopes = problem.linearised(p, v, psi, residual)
         step = _step(R, right)
         for k in range(HALVINGS):
             q, u = _moved(p, v, step * 0.5**k)
-            allowed = np.all(q.real < 0) and np.all(np.abs(q - p) < 3 * np.abs(p.real))
-            trial = problem.solved(q, u) if allowed else (np.inf, psi, residual)
+            trial = problem.solved(q, u)
             if trial[0] < cost:
                 break
         else:
@@ -276,8 +281,12 @@ def _step(R: Real, right: Real) -> Real:
 
 
 def _moved(p: Complex, v: Complex, step: Real) -> tuple[Complex, Complex]:
+    """Poles and participations after a step, in which no pole moves by more than its decay rate, or ceases to decay."""
     n, largest = len(p), np.argmax(np.abs(v), axis=1)
-    q, u, place = p + step[:n] + 1j * step[n : 2 * n], np.array(v), 2 * n
+    by = step[:n] + 1j * step[n : 2 * n]
+    q = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
+    q = np.minimum(q.real, LEAST * p.real) + 1j * q.imag
+    u, place = np.array(v), 2 * n
     for j in range(v.shape[1] if v.shape[1] > 1 else 0):
         moves = np.flatnonzero(largest != j)
         u[moves, j] += step[place : place + len(moves)] + 1j * step[place + len(moves) : place + 2 * len(moves)]
@@ -330,10 +339,14 @@ def extended(band: FrfBand, fit: ModalFit) -> ModalFit:
         at = 2 * np.pi * band.f[line]
         v = linalg.svd(fit.residual[line] / band.std[line])[2][:1]
         p, u = np.append(fit.poles, complex(-GUESSED * at, at)), np.concatenate([fit.participation, v])
-        trial = fitted(band, p, turned(u), fit.rest, np.append(fit.stayed, False))
+        trial = fitted(band, p, turned(u), fit.rest, np.append(fit.stayed, False), QUICK)
         gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
         apart = np.abs(trial.poles[-1] - trial.poles[:-1]) > np.abs(trial.poles[-1].real + trial.poles[:-1].real)
-        if gain < _unknowns(band) * np.log(size) or not apart.all() or -trial.poles[-1].real > DAMPED * abs(trial.poles[-1]):
+        if (
+            gain < _unknowns(band) * np.log(size)
+            or not apart.all()
+            or -trial.poles[-1].real > DAMPED * abs(trial.poles[-1])
+        ):
             break
         fit = trial
     return fit
@@ -357,17 +370,20 @@ def selected(
     (Schwarz, Annals of Statistics 6, 1978), and where its decay rate is known to a half; the least of them goes first.
     """
     known = np.ones(len(poles), bool) if stayed is None else stayed
-    fit = extended(band, fitted(band, poles, participation, completed(band, poles, participation), known))
+    fit = extended(band, fitted(band, poles, participation, completed(band, poles, participation), known, QUICK))
     before = int(np.sum(fit.stayed))
-    while len(fit.poles) > 1:
+    while len(fit.poles):
         losses = _Problem(band, fit.rest).losses(fit.poles, fit.participation) / fit.misfit
         std = np.sqrt(np.diag(fit.covariance))[: len(fit.poles)]
         weak = losses < _unknowns(band) * np.log(2 * band.H.size)
         bad = weak | (std > 0.5 * np.abs(fit.poles.real))
         if not bad.any():
             break
+        if len(losses) == 1:
+            return replace(fit, stayed=np.zeros(1, bool)), before
         kept = np.arange(len(losses)) != np.argmin(np.where(bad, losses, np.inf))
-        fit = fitted(band, fit.poles[kept], fit.participation[kept], fit.rest, fit.stayed[kept])
+        fit = fitted(band, fit.poles[kept], fit.participation[kept], fit.rest, fit.stayed[kept], QUICK)
+    fit = fitted(band, fit.poles, fit.participation, fit.rest, fit.stayed)
     return fit, before - int(np.sum(fit.stayed))
 
 

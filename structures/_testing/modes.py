@@ -58,7 +58,7 @@ class MeasuredModes:
         Modal phase collinearity of the shape over its sensors, or over its loads where there are more: 1 for a real
         shape.
     modal_mass, modal_mass_std : array (modes,)
-        In kg, for shapes whose largest entry is 1; NaN without a driven point, or where it gives no positive mass.
+        In kg, for shapes whose largest entry over all places, read or driven, is 1; NaN without a driven point, or where it gives no positive mass.
     lower, upper : array (sensors, loads)
         What modes below the band give far above them, 1/kg for a displacement, and what those above it give far below
         them, m/N.
@@ -226,19 +226,25 @@ def identify_modes(
     fitted_band, turned, weights_known = _prepared(picked)
     poles, participation, found = _start(fitted_band, order)
     if not len(poles):
-        raise InputError(
-            "no pole stays from one order to the next", where="identify_modes",
-            found=f"{len(found.poles)} poles over all orders, {found.unstable} unstable ones left out",
-            expected="a mode in the band", hint="another band, a higher order, or FRFs with more coherence",
-        )  # fmt: skip
+        raise _nothing(found)
     fit, dropped = selected(fitted_band, poles, participation)
     if not weights_known or fit.misfit > MISFIT:
         fitted_band = reweighted(fitted_band, fit.residual, known=weights_known)
         fit, more = selected(fitted_band, fit.poles, fit.participation, fit.stayed)
         dropped += more
     fit, inside = _sorted(fit, fitted_band)
+    if not inside:
+        raise _nothing(found)
     real = normal(fitted_band, fit)
     return _result(picked, fitted_band, fit, real, inside, turned, found, dropped, driven)
+
+
+def _nothing(found: Stabilisation) -> InputError:
+    return InputError(
+        "no mode stays from one order to the next and explains more than noise", where="identify_modes",
+        found=f"{len(found.poles)} poles over all orders, {found.unstable} unstable ones left out",
+        expected="a mode in the band", hint="another band, a higher order, or FRFs with more coherence",
+    )  # fmt: skip
 
 
 # -- what is fitted ---------------------------------------------------------------------------------------------------
@@ -438,7 +444,7 @@ def _masses(
         slope = np.array([[real.slope[o, k] @ real.poles_covariance @ real.slope[o, k] for o in own] for k in range(n)])
         std = np.sqrt(std**2 + slope.reshape(n, -1))
         relative = np.min(std / np.maximum(size, np.finfo(float).tiny), axis=1)
-    top = np.max(np.abs(S), axis=1, initial=0.0) * scale
+    top = np.maximum(np.max(np.abs(S), axis=1, initial=0) * scale, np.max(np.abs(B), axis=1, initial=0) / scale)
     mass = 1 / np.where(top > 0, top, np.nan) ** 2
     return scale, mass, mass * relative
 

@@ -59,7 +59,7 @@ class NormalFit:
 
     def variance(self, f: Real, derivative: int) -> Real:
         """Variance (lines, outputs, references) of the fitted FRF of a kind at f (Hz), by the errors of the fit."""
-        s = 2j * np.pi * f
+        s = np.asarray(2j * np.pi * f, complex)
         q, d = lines_of(s, self.poles, derivative), slopes_of(s, self.poles, derivative)
         ends = [*self.frequencies]
         g = _rest_lines(s, ends, self.low, derivative)
@@ -96,7 +96,7 @@ def _rest_lines(s: Complex, ends: list[float], low: NDArray[np.bool_], derivativ
 
 def normal(band: FrfBand, fit: ModalFit) -> NormalFit:
     """Real shapes and participations of the poles of a fit, by weighted least squares in turn."""
-    n, references = fit.participation.shape
+    references = fit.participation.shape[1]
     q, g = lines_of(band.s, fit.poles, band.derivative), outside(band, fit.rest)
     phase = 0.5 * np.angle(np.sum(fit.participation**2, axis=1))
     b = _turned((fit.participation * np.exp(-1j * phase[:, None])).real)
