@@ -22,7 +22,7 @@ __all__ = ["commands", "main"]
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
-_OWN = ("demo", "info", "check", "calibrate", "identify", "track", "batch")
+_OWN = ("demo", "info", "check", "calibrate", "modes", "identify", "track", "batch")
 
 
 class _Parser(argparse.ArgumentParser):

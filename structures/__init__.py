@@ -17,6 +17,8 @@ _PUBLIC = {
     "InputError": "errors",
     "MatrixModel": "_models.arrays",
     "MeasuredModel": "_models.measured",
+    "MeasuredModes": "_testing.modes",
+    "ModalModel": "_models.modal",
     "Model": "_model",
     "NotIdentifiable": "errors",
     "StateSpace": "_models.statespace",
@@ -24,6 +26,7 @@ _PUBLIC = {
     "Surface": "_elements.surfaces",
     "TrainingRecords": "_testing.impact",
     "cross_spectra": "_testing.welch",
+    "identify_modes": "_testing.modes",
 }
 _MODULES = {
     "bases": "bases",

@@ -26,6 +26,7 @@ from .._inverse import penalties
 if TYPE_CHECKING:
     from structures._models.forward import ForwardModel
     from structures._models.measured import MeasuredModel
+    from structures._models.modal import ModalModel
     from structures._models.statespace import StateSpace
     from structures._models.tabulated import FrfModel
 
@@ -261,7 +262,7 @@ def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str,
     return list(read_all(path, **settings))
 
 
-def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | StateSpace:
+def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
     """Model of a file: one that was saved here, or the FRFs of a universal file that states what they are.
 
     Raises

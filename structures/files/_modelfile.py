@@ -24,6 +24,8 @@ from .._model import Model, as_model
 from .._models import forward, statespace
 from .._models.forward import ForwardModel
 from .._models.measured import MeasuredModel
+from .._models.modal import FILE as MODAL
+from .._models.modal import ModalModel
 from .._models.statespace import StateSpace
 from .._models.tabulated import FILE as TABLE
 from .._models.tabulated import FrfModel
@@ -144,7 +146,7 @@ def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
     return model
 
 
-def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | StateSpace:
+def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
     """Read a model of any kind that was saved here, or the FRFs of a universal file that states what they are.
 
     Raises
@@ -157,6 +159,8 @@ def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | Forward
     kind = storage.kind_of(path) if Path(path).is_file() else None
     if kind in KINDS:
         return load(path)
+    if kind == MODAL:
+        return ModalModel.load(path)
     return FrfModel.load(path) if kind == TABLE else MeasuredModel.load(path)
 
 
