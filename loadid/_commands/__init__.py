@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Self, TextIO
 
 from structures._flags import explained
 from structures.errors import InputError
+from structures.files import _storage as storage
 
 from .._inverse import penalties
 
@@ -36,6 +37,7 @@ STARTS = ("rest", "unknown")
 NONE = "none"
 FIT_OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")  # of `track`
 PICTURES = ("--plot",)  # options whose suffix names the format
+WRITTEN = {"-o": (".h5", ".hdf5"), "--state": (".h5", ".hdf5"), "--report": (".html", ".htm")}  # suffixes of outputs
 
 
 class UsageError(Exception):
@@ -337,8 +339,14 @@ class Bar:
         self._width = len(text)
 
 
-def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
-    """Nothing, if every output can be written and none of them would replace an input or another output.
+def require_outputs(
+    outputs: Mapping[str, str | Path | None],
+    inputs: Sequence[str | Path | None] = (),
+    *,
+    suffixes: Mapping[str, Sequence[str]] | None = None,
+    streams: Sequence[str] = (),
+) -> None:
+    """Nothing, if every output can be written, is named as what it is, and would replace no input or other output.
 
     Parameters
     ----------
@@ -346,15 +354,21 @@ def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[s
         ``{"-o": "result.h5"}``; None stands for an option that was not given.
     inputs : sequence of path
         Files that the command reads.
+    suffixes : dict of option to suffixes, optional
+        Of options that write something else than `WRITTEN` says.
+    streams : sequence of str
+        Options that write on and on, into a device or a pipe too.
 
     Raises
     ------
     InputError
-        An empty path, a folder that is not there or cannot be written, an unknown kind of picture, a file named twice.
+        An empty path, a folder that is not there or cannot be written, a link or a device, a suffix that is not that of
+        what is written, an unknown kind of picture, a file named twice.
     """
     given = {option: Path(path) for option, path in outputs.items() if path is not None and _named(option, path)}
+    known = {**WRITTEN, **(suffixes or {})}
     for option, path in given.items():
-        _require_place(option, path)
+        _require_place(option, path, stream=option in streams)
         if option in PICTURES:
             from .._plots import picture_format
 
@@ -372,6 +386,8 @@ def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[s
             raise InputError("two outputs are one file", where=f"{option} {path}", found=f"also {twin}",
                              expected="a file for each",
                              hint="choose another name for one of them; nothing was written")  # fmt: skip
+        if option in known:
+            storage.require_suffix(path, known[option], where=f"{option} {path}")
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -390,8 +406,8 @@ def _named(option: str, path: str | Path) -> bool:
     return True
 
 
-def _require_place(option: str, path: Path) -> None:
-    folder = path.resolve().parent
+def _require_place(option: str, path: Path, *, stream: bool) -> None:
+    folder = path.resolve().parent if stream else path.parent.resolve()
     where = f"{option} {path}"
     if not folder.is_dir():
         raise InputError(
@@ -400,8 +416,8 @@ def _require_place(option: str, path: Path) -> None:
             found=str(folder),
             hint="make the folder first, or write elsewhere",
         )
-    if path.is_dir():
-        raise InputError("this is a folder", where=where, expected="a file to write", hint="add a file name")
+    if path.is_dir() or not stream:
+        storage.require_target(path, where=where)
     try:
         with tempfile.TemporaryFile(dir=folder):  # permission bits do not tell everything: ask the file system
             pass
