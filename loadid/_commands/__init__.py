@@ -16,8 +16,9 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TextIO
 
+from structures._advice import did_you_mean
 from structures._flags import explained
 from structures.errors import InputError
 from structures.files import _storage as storage
@@ -65,15 +66,16 @@ class Command:
 
 
 def emit(args: Namespace, data: Any, text: str) -> None:
-    """Print the answer: text for people, one strict JSON value with ``--json``."""
+    """Print the answer: text for people, nothing with ``--quiet``, one strict JSON value with ``--json``."""
     if args.json or getattr(args, "json_full", False):
         from .._results.archive import plain
 
         if isinstance(data, dict) and "flags" in data:
             flags = [explained(flag) if isinstance(flag, dict) else flag for flag in data["flags"]]
             data = {**data, "flags": flags}
-        text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
-    print(text)
+        print(json.dumps(plain(data), allow_nan=False, ensure_ascii=False))
+    elif not getattr(args, "hushed", False):
+        print(text)
 
 
 def say(text: str, *, aside: bool = False) -> None:
@@ -132,13 +134,15 @@ def choice(text: str) -> str | float:
 
     if known(text):
         return text
-    return number(text, f"rule ({', '.join(RULES)}) and no relative lambda >= 0", lambda lam: lam >= 0)
+    what = f"rule ({', '.join(RULES)}) and no relative lambda >= 0{did_you_mean(text, RULES)}"
+    return number(text, what, lambda lam: lam >= 0)
 
 
 def penalty(text: str) -> str:
     """Name of a penalty, or ``none`` for plain least squares."""
     if text not in (*penalties.ORDER, NONE):
-        raise ArgumentTypeError(f"{text!r} is no penalty ({penalties.names()}, {NONE})")
+        more = did_you_mean(text, (*penalties.ORDER, NONE))
+        raise ArgumentTypeError(f"{text!r} is no penalty ({penalties.names()}, {NONE}){more}")
     return text
 
 
@@ -299,7 +303,7 @@ def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> li
 
 # -- what is written ---------------------------------------------------------------------------------------------------
 class Bar:
-    """Callable ``bar(fraction, text)`` that redraws one line; silent where the stream is no terminal.
+    """Callable ``bar(fraction, text)`` that redraws one line; silent where the stream is no terminal, or `hushed`.
 
     It is what the command line passes as ``progress=``: any callable with these two arguments will do.
 
@@ -311,10 +315,12 @@ class Bar:
         Seconds between two drawings.
     """
 
+    hushed: ClassVar[bool] = False  # --quiet
+
     def __init__(self, stream: TextIO | None = None, *, interval: float = 0.1) -> None:
         self.stream = sys.stderr if stream is None else stream
         self.interval = interval
-        self.shown = bool(getattr(self.stream, "isatty", lambda: False)())
+        self.shown = not self.hushed and bool(getattr(self.stream, "isatty", lambda: False)())
         self._last = 0.0
         self._width = 0
 
