@@ -53,7 +53,8 @@ def test_two_shakers_on_lines(run, shaken, tmp_path, estimator):
     log, frf = shaken
     code, out, err = run(
         "calibrate", log, "--excitation", "shaker", "--force", "F1,F2", "--response", "a1,a2,a3",
-        "-o", tmp_path / "m.h5", "--estimator", estimator, "--segment", "2000", "--coherence", "0.5", "--band", "20:300",
+        "-o", tmp_path / "m.h5", "--estimator", estimator, "--segment", "2000", "--coherence", "0.5",
+        "--band", "20:300",
     )  # fmt: skip
     assert code == 0, err
     assert out.startswith("forces F1, F2; responses a1, a2, a3; ")
