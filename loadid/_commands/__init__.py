@@ -371,7 +371,8 @@ def require_outputs(
         An empty path, a folder that is not there or cannot be written, a link or a device, a suffix that is not that of
         what is written, an unknown kind of picture, a file named twice.
     """
-    given = {option: Path(path) for option, path in outputs.items() if path is not None and _named(option, path)}
+    named = {option: path for option, path in outputs.items() if path is not None and _named(option, path)}
+    given = {option: storage.as_path(path) for option, path in named.items()}
     known = {**WRITTEN, **(suffixes or {})}
     for option, path in given.items():
         _require_place(option, path, stream=option in streams)
@@ -379,7 +380,7 @@ def require_outputs(
             from .._plots import picture_format
 
             picture_format(path)
-    read = [Path(path) for path in inputs if path is not None and os.fspath(path)]
+    read = [storage.as_path(path) for path in inputs if path is not None and os.fspath(path)]
     options = list(given)
     for k, option in enumerate(options):
         path = given[option]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import secrets
 import stat
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,7 @@ MAGIC = "loadid-hdf5"
 VERSION = 1
 HDF5 = (".h5", ".hdf5")  # suffixes of files that `write` writes; a name without any is taken too
 BLOCK = 512  # smallest user block that HDF5 allows
+ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")  # of the net; a drive of Windows has one letter
 _DEPTH = 64
 _FLETCHER32 = 3  # HDF5's number of that filter; the only one that is written or read
 _SCALARS = {bool: "bool", int: "int", float: "float", complex: "complex", str: "str"}
@@ -90,12 +92,12 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """The argument as a path.
+    """The argument as a path; ``~`` is the home of who asks, also where no shell has put it in.
 
     Raises
     ------
     InputError
-        If it is none, or empty.
+        If it is none, or empty, or an address of the net.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(
@@ -107,7 +109,14 @@ def as_path(path: str | os.PathLike[str]) -> Path:
         )
     if not os.fspath(path):
         raise InputError("the path is empty", where="path", expected="a file name", hint="name a file")
-    return Path(os.fspath(path) if isinstance(os.fspath(path), str) else os.fsdecode(path))
+    text = os.fsdecode(path)
+    if ADDRESS.match(text):
+        raise InputError("this is an address, not a file", where=text, expected="a file on this machine",
+                         hint="download it first, and name the file")  # fmt: skip
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # ~name of nobody
+        return Path(text)
 
 
 def require_suffix(path: Path, suffixes: Sequence[str], *, where: str = "") -> None:
@@ -228,6 +237,7 @@ def replace(path: Path, data: bytes) -> None:
     InputError
         If the file cannot be written, the old one is untouched; if something that is no plain file is there.
     """
+    path = as_path(path)
     require_target(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:
