@@ -12,32 +12,73 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, NoReturn
 
-from structures._advice import on_command_line
+from structures._advice import did_you_mean, on_command_line
 from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
-from ._commands import Command, UsageError
+from ._commands import Bar, Command, UsageError
 
-__all__ = ["commands", "main"]
+__all__ = ["commands", "main", "parsers"]
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
-_OWN = ("demo", "info", "check", "calibrate", "modes", "identify", "track", "batch")
+LEVELS = ("debug", "info", "warning", "error")
+_OWN = (
+    "demo", "info", "check", "calibrate", "modes", "identify", "track", "batch", "serve",
+    "completion",
+)  # fmt: skip
 
 
 class _Parser(argparse.ArgumentParser):
-    """Refuses wrong words by an error of ours; learns its arguments where it is the one that is asked."""
+    """Refuses wrong words by an error of ours, with the word that was meant; learns its arguments where it is asked."""
 
     configure: Callable[[argparse.ArgumentParser], None] | None = None
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        if self.configure is not None:  # a command: all that it is given is its own
+            self.learn()
+            self._known(list(sys.argv[1:] if args is None else args))
+        found, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self.error(self._unknown(rest))
+        return found, rest
+
+    @property
+    def arguments(self) -> tuple[argparse.Action, ...]:
+        """Its arguments, positional ones and options."""
+        return tuple(self._actions)
+
+    def learn(self) -> None:
+        """Add the arguments of its command, once."""
         configure, self.configure = self.configure, None
         if configure is not None:
             configure(self)
-        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} (see {self.prog} --help)")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        words = [str(c) for c in action.choices]
+        what = "command" if action.nargs == argparse.PARSER else "choice"
+        more = did_you_mean(str(value), words)
+        raise argparse.ArgumentError(action, f"there is no {what} {value!r} (choose from {', '.join(words)}){more}")
+
+    def _known(self, args: list[str]) -> None:
+        """Nothing, if every option is one; else it is named before any is missed."""
+        given = args[: args.index("--")] if "--" in args else args
+        words = [w.partition("=")[0] for w in given if w.startswith("--")]
+        wrong = [w for w in words if w not in self._option_string_actions]
+        if wrong:
+            self.error(self._unknown(wrong))
+
+    def _unknown(self, rest: list[str]) -> str:
+        word = next((w for w in rest if w.startswith("-")), None)
+        if word is None:
+            return f"unrecognized arguments: {' '.join(rest)}"
+        options = [o for o in self._option_string_actions if o.startswith("--")]
+        return f"there is no option {word}{did_you_mean(word, options)}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -55,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     as_json = "--json" in argv or "--json-full" in argv
     try:
         args = _parser().parse_args(argv)
-        with _Log(args.log_level):
+        with _Log(args.log_level, as_json=args.log_json, hushed=args.hushed):
             return int(args.run(args))
     except UsageError as error:
         return _fail(as_json, USAGE, {"what": str(error)}, str(error))
@@ -95,7 +136,7 @@ def commands() -> dict[str, Command]:
     return found | {name: import_module(f"._commands.{name}", __package__).command for name in missing}
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> _Parser:
     parser = _Parser(
         prog="loadid",
         description="Reconstruct applied loads, with their uncertainty, from measured responses.",
@@ -103,36 +144,74 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"loadid {__version__}")
-    levels = ("debug", "info", "warning", "error")
-    parser.add_argument("--log-level", choices=levels, default="warning", help="what to log on standard error")
+    _add_common(parser, json=False, log_level="warning", log_json=False, hushed=False)
     listed = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
     for name, command in commands().items():
-        sub = listed.add_parser(name, help=command.help, description=command.help, allow_abbrev=False)
-        sub.add_argument("--json", action="store_true", help="print one JSON value; errors as JSON on standard error")
+        sub = listed.add_parser(name, help=command.help, description=command.help, allow_abbrev=False,
+                                conflict_handler="resolve")  # fmt: skip
+        _add_common(sub)
         sub.configure = command.configure
         sub.set_defaults(run=command.run)
     return parser
 
 
-class _Log:
-    """Log of the three packages on standard error while a command runs."""
+def parsers() -> dict[str, _Parser]:
+    """The parser of every command with its arguments, by name, and that of the whole under ``""``."""
+    whole = _parser()
+    listed = next(action.choices for action in whole.arguments if action.nargs == argparse.PARSER)
+    found: dict[str, _Parser] = {"": whole, **dict(listed or {})}
+    for parser in found.values():
+        parser.learn()
+    return found
 
-    def __init__(self, level: str) -> None:
-        self.level = level.upper()
+
+def _add_common(parser: argparse.ArgumentParser, **defaults: Any) -> None:
+    """Options that may stand before the command and after it; after it they say nothing where they are left out."""
+    group = parser.add_argument_group("how it answers")
+
+    def add(*names: str, **settings: Any) -> None:
+        dest = settings.pop("dest", names[-1].strip("-").replace("-", "_"))
+        group.add_argument(*names, dest=dest, default=defaults.get(dest, argparse.SUPPRESS), **settings)
+
+    add("--json", action="store_true", help="print one JSON value; errors as JSON on standard error")
+    add("-q", "--quiet", dest="hushed", action="store_true", help="print nothing but errors")
+    add("--log-level", choices=LEVELS, help="what to log on standard error; default warning")
+    add("--log-json", action="store_true", help="log as lines of JSON")
+
+
+class _Log:
+    """Log of the three packages on standard error while a command runs; hushed, it draws no progress."""
+
+    def __init__(self, level: str, *, as_json: bool, hushed: bool) -> None:
+        self.level, self.hushed = level.upper(), hushed
         self.handler = logging.StreamHandler()
-        self.handler.setFormatter(logging.Formatter("%(name)s %(levelname)s: %(message)s"))
+        plain = logging.Formatter("%(name)s %(levelname)s: %(message)s")
+        self.handler.setFormatter(_JsonLines() if as_json else plain)
         self.loggers = [logging.getLogger(name) for name in ("structures", "loadid", "tactile")]
 
     def __enter__(self) -> None:
         self.before = [logger.level for logger in self.loggers]
+        self.drawn, Bar.hushed = Bar.hushed, self.hushed
         for logger in self.loggers:
             logger.addHandler(self.handler)
             logger.setLevel(self.level)
 
     def __exit__(self, *exc: object) -> None:
+        Bar.hushed = self.drawn
         for logger, level in zip(self.loggers, self.before, strict=True):
             logger.removeHandler(self.handler)
             logger.setLevel(level)
+
+
+class _JsonLines(logging.Formatter):
+    """One JSON value a line: seconds since 1970, level, logger, message."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        line = {"time": round(record.created, 6), "level": record.levelname.lower(), "logger": record.name,
+                "message": record.getMessage()}  # fmt: skip
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, ensure_ascii=False)
 
 
 def _fail(as_json: bool, code: int, fields: dict[str, Any], text: str) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,3 +95,26 @@ def to_plain(text: object) -> Any:
 def from_plain(data: Any) -> Any:
     """Inverse of `to_plain`."""
     return Advice(Spelling(**data)) if isinstance(data, dict) else data
+
+
+def nearest(word: str, words: Iterable[str]) -> str | None:
+    """Of some words the one that was meant by a word which is none of them; None where none is near.
+
+    Capitals and what joins the parts of a word do not count: ``lcurve`` is ``l_curve``.
+    """
+    known = {_bare(w): w for w in words}
+    bare = _bare(word)
+    found = difflib.get_close_matches(bare, known, n=1, cutoff=0.6)
+    if not found and len(bare) >= 3:
+        found = [w for w in known if w.startswith(bare)][:1]
+    return known[found[0]] if found else None
+
+
+def did_you_mean(word: str, words: Iterable[str]) -> str:
+    """``"; did you mean l_curve?"``, or nothing."""
+    found = nearest(word, words)
+    return f"; did you mean {found}?" if found else ""
+
+
+def _bare(word: str) -> str:
+    return "".join(c for c in word.lower() if c.isalnum())

@@ -16,10 +16,12 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TextIO
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TextIO
 
+from structures._advice import did_you_mean
 from structures._flags import explained
 from structures.errors import InputError
+from structures.files import _storage as storage
 
 from .._inverse import penalties
 
@@ -37,6 +39,7 @@ STARTS = ("rest", "unknown")
 NONE = "none"
 FIT_OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")  # of `track`
 PICTURES = ("--plot",)  # options whose suffix names the format
+WRITTEN = {"-o": (".h5", ".hdf5"), "--state": (".h5", ".hdf5"), "--report": (".html", ".htm")}  # suffixes of outputs
 
 
 class UsageError(Exception):
@@ -64,15 +67,16 @@ class Command:
 
 
 def emit(args: Namespace, data: Any, text: str) -> None:
-    """Print the answer: text for people, one strict JSON value with ``--json``."""
+    """Print the answer: text for people, nothing with ``--quiet``, one strict JSON value with ``--json``."""
     if args.json or getattr(args, "json_full", False):
         from .._results.archive import plain
 
         if isinstance(data, dict) and "flags" in data:
             flags = [explained(flag) if isinstance(flag, dict) else flag for flag in data["flags"]]
             data = {**data, "flags": flags}
-        text = json.dumps(plain(data), allow_nan=False, ensure_ascii=False)
-    print(text)
+        print(json.dumps(plain(data), allow_nan=False, ensure_ascii=False))
+    elif not getattr(args, "hushed", False):
+        print(text)
 
 
 def say(text: str, *, aside: bool = False) -> None:
@@ -131,13 +135,15 @@ def choice(text: str) -> str | float:
 
     if known(text):
         return text
-    return number(text, f"rule ({', '.join(RULES)}) and no relative lambda >= 0", lambda lam: lam >= 0)
+    what = f"rule ({', '.join(RULES)}) and no relative lambda >= 0{did_you_mean(text, RULES)}"
+    return number(text, what, lambda lam: lam >= 0)
 
 
 def penalty(text: str) -> str:
     """Name of a penalty, or ``none`` for plain least squares."""
     if text not in (*penalties.ORDER, NONE):
-        raise ArgumentTypeError(f"{text!r} is no penalty ({penalties.names()}, {NONE})")
+        more = did_you_mean(text, (*penalties.ORDER, NONE))
+        raise ArgumentTypeError(f"{text!r} is no penalty ({penalties.names()}, {NONE}){more}")
     return text
 
 
@@ -298,7 +304,7 @@ def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> li
 
 # -- what is written ---------------------------------------------------------------------------------------------------
 class Bar:
-    """Callable ``bar(fraction, text)`` that redraws one line; silent where the stream is no terminal.
+    """Callable ``bar(fraction, text)`` that redraws one line; silent where the stream is no terminal, or `hushed`.
 
     It is what the command line passes as ``progress=``: any callable with these two arguments will do.
 
@@ -310,10 +316,12 @@ class Bar:
         Seconds between two drawings.
     """
 
+    hushed: ClassVar[bool] = False  # --quiet
+
     def __init__(self, stream: TextIO | None = None, *, interval: float = 0.1) -> None:
         self.stream = sys.stderr if stream is None else stream
         self.interval = interval
-        self.shown = bool(getattr(self.stream, "isatty", lambda: False)())
+        self.shown = not self.hushed and bool(getattr(self.stream, "isatty", lambda: False)())
         self._last = 0.0
         self._width = 0
 
@@ -338,8 +346,14 @@ class Bar:
         self._width = len(text)
 
 
-def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[str | Path | None] = ()) -> None:
-    """Nothing, if every output can be written and none of them would replace an input or another output.
+def require_outputs(
+    outputs: Mapping[str, str | Path | None],
+    inputs: Sequence[str | Path | None] = (),
+    *,
+    suffixes: Mapping[str, Sequence[str]] | None = None,
+    streams: Sequence[str] = (),
+) -> None:
+    """Nothing, if every output can be written, is named as what it is, and would replace no input or other output.
 
     Parameters
     ----------
@@ -347,20 +361,27 @@ def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[s
         ``{"-o": "result.h5"}``; None stands for an option that was not given.
     inputs : sequence of path
         Files that the command reads.
+    suffixes : dict of option to suffixes, optional
+        Of options that write something else than `WRITTEN` says.
+    streams : sequence of str
+        Options that write on and on, into a device or a pipe too.
 
     Raises
     ------
     InputError
-        An empty path, a folder that is not there or cannot be written, an unknown kind of picture, a file named twice.
+        An empty path, a folder that is not there or cannot be written, a link or a device, a suffix that is not that of
+        what is written, an unknown kind of picture, a file named twice.
     """
-    given = {option: Path(path) for option, path in outputs.items() if path is not None and _named(option, path)}
+    named = {option: path for option, path in outputs.items() if path is not None and _named(option, path)}
+    given = {option: storage.as_path(path) for option, path in named.items()}
+    known = {**WRITTEN, **(suffixes or {})}
     for option, path in given.items():
-        _require_place(option, path)
+        _require_place(option, path, stream=option in streams)
         if option in PICTURES:
             from .._plots import picture_format
 
             picture_format(path)
-    read = [Path(path) for path in inputs if path is not None and os.fspath(path)]
+    read = [storage.as_path(path) for path in inputs if path is not None and os.fspath(path)]
     options = list(given)
     for k, option in enumerate(options):
         path = given[option]
@@ -373,6 +394,8 @@ def require_outputs(outputs: Mapping[str, str | Path | None], inputs: Sequence[s
             raise InputError("two outputs are one file", where=f"{option} {path}", found=f"also {twin}",
                              expected="a file for each",
                              hint="choose another name for one of them; nothing was written")  # fmt: skip
+        if option in known:
+            storage.require_suffix(path, known[option], where=f"{option} {path}")
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -391,8 +414,8 @@ def _named(option: str, path: str | Path) -> bool:
     return True
 
 
-def _require_place(option: str, path: Path) -> None:
-    folder = path.resolve().parent
+def _require_place(option: str, path: Path, *, stream: bool) -> None:
+    folder = path.resolve().parent if stream else path.parent.resolve()
     where = f"{option} {path}"
     if not folder.is_dir():
         raise InputError(
@@ -401,8 +424,8 @@ def _require_place(option: str, path: Path) -> None:
             found=str(folder),
             hint="make the folder first, or write elsewhere",
         )
-    if path.is_dir():
-        raise InputError("this is a folder", where=where, expected="a file to write", hint="add a file name")
+    if path.is_dir() or not stream:
+        storage.require_target(path, where=where)
     try:
         with tempfile.TemporaryFile(dir=folder):  # permission bits do not tell everything: ask the file system
             pass

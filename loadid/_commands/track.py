@@ -409,7 +409,7 @@ def _run(args: Namespace) -> int:
     require_fit_options(args)
     source = None if args.source == "-" or args.source.startswith("tcp://") else args.source
     outputs = {"--out": None if args.out == "-" else args.out, "--state": args.state, "--plot": args.plot or None}
-    require_outputs(outputs, [source, args.model, args.fit])
+    require_outputs(outputs, [source, args.model, args.fit], streams=("--out",))
 
     from .._stream.output import StateLock
     from .._stream.sources import require_source

@@ -48,6 +48,7 @@ from structures import units as _units
 from structures._advice import Advice, either, from_plain, to_plain
 from structures._flags import Flag
 from structures.errors import InputError
+from structures.files import _storage as storage
 
 from .._names import find
 from .._record import Record
@@ -212,7 +213,7 @@ def _open(path: str | os.PathLike[str]) -> Source:
     if not os.fspath(path):
         raise InputError("the path is empty", where="read", found="''", expected="a file name", hint="name a file")
     try:
-        place = Path(path)
+        place = storage.as_path(path)
         if not place.exists():
             near = _neighbours(place)
             raise InputError(

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -154,9 +153,10 @@ def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | Forward
     InputError
         A file that is missing, damaged, or no model.
     """
-    if Path(path).suffix.lower() in SUFFIXES:
+    path = storage.as_path(path)
+    if path.suffix.lower() in SUFFIXES:
         return read_frfs(path)
-    kind = storage.kind_of(path) if Path(path).is_file() else None
+    kind = storage.kind_of(path) if path.is_file() else None
     if kind in KINDS:
         return load(path)
     if kind == MODAL:

@@ -9,8 +9,10 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import secrets
-from collections.abc import Mapping
+import stat
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,9 @@ from ..errors import InputError
 
 MAGIC = "loadid-hdf5"
 VERSION = 1
+HDF5 = (".h5", ".hdf5")  # suffixes of files that `write` writes; a name without any is taken too
 BLOCK = 512  # smallest user block that HDF5 allows
+ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")  # of the net; a drive of Windows has one letter
 _DEPTH = 64
 _FLETCHER32 = 3  # HDF5's number of that filter; the only one that is written or read
 _SCALARS = {bool: "bool", int: "int", float: "float", complex: "complex", str: "str"}
@@ -42,9 +46,11 @@ def write(path: str | os.PathLike[str], tree: Mapping[str, Any], kind: str) -> N
     Raises
     ------
     InputError
-        If something in the tree cannot be stored, or the file cannot be written.
+        If something in the tree cannot be stored, the name ends in another suffix than `HDF5`, or the file cannot be
+        written.
     """
     path = as_path(path)
+    require_suffix(path, HDF5)
     body = _encode(tree, str(path))
     replace(path, _block(kind, _digest(kind, body)) + body)
 
@@ -86,12 +92,12 @@ def kind_of(path: str | os.PathLike[str]) -> str | None:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """The argument as a path.
+    """The argument as a path; ``~`` is the home of who asks, also where no shell has put it in.
 
     Raises
     ------
     InputError
-        If it is none, or empty.
+        If it is none, or empty, or an address of the net.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(
@@ -103,7 +109,57 @@ def as_path(path: str | os.PathLike[str]) -> Path:
         )
     if not os.fspath(path):
         raise InputError("the path is empty", where="path", expected="a file name", hint="name a file")
-    return Path(os.fspath(path) if isinstance(os.fspath(path), str) else os.fsdecode(path))
+    text = os.fsdecode(path)
+    if ADDRESS.match(text):
+        raise InputError("this is an address, not a file", where=text, expected="a file on this machine",
+                         hint="download it first, and name the file")  # fmt: skip
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # ~name of nobody
+        return Path(text)
+
+
+def require_suffix(path: Path, suffixes: Sequence[str], *, where: str = "") -> None:
+    """Nothing, if a name ends as what is written there does, or has no suffix.
+
+    Raises
+    ------
+    InputError
+        Another suffix: the file would be taken for what it is not.
+    """
+    if path.suffix and path.suffix.lower() not in suffixes:
+        raise InputError(
+            "the suffix is not that of what is written",
+            where=where or str(path),
+            found=path.suffix,
+            expected=" or ".join(suffixes),
+            hint=f"name it {path.with_suffix(suffixes[0]).name}",
+        )
+
+
+def require_target(path: Path, *, where: str = "") -> None:
+    """Nothing, if `replace` may put a file there: nothing is there yet, or a plain file.
+
+    Raises
+    ------
+    InputError
+        A folder; a device, a pipe or a socket, which a file would replace; a link, which would be parted from its file.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except OSError:  # not there, or not to be seen: `replace` meets it
+        return
+    if stat.S_ISREG(mode):
+        return
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFLNK: "a link", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    kind = kinds.get(stat.S_IFMT(mode), "a device")
+    hint = {"a folder": "add a file name", "a link": f"name the file itself: {path.resolve()}"}
+    raise InputError(
+        f"this is {kind}",
+        where=where or str(path),
+        expected="a file to write, new or to be replaced",
+        hint=hint.get(kind, "name a file"),
+    )
 
 
 # -- the file as bytes ------------------------------------------------------------------------------------------------
@@ -179,8 +235,10 @@ def replace(path: Path, data: bytes) -> None:
     Raises
     ------
     InputError
-        If the file cannot be written; the old one is untouched.
+        If the file cannot be written, the old one is untouched; if something that is no plain file is there.
     """
+    path = as_path(path)
+    require_target(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:
         try:

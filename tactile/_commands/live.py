@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from loadid._commands import UsageError, number, positive, say
+from loadid._commands import UsageError, number, positive, require_outputs, say
 
 if TYPE_CHECKING:
     from ..live import Live, LiveEvent, LiveFrame
@@ -59,6 +59,8 @@ def run(args: Namespace) -> int:
             raise UsageError(f"--replay plays what was recorded: {', '.join(f'--{n}' for n in extra)} is for a camera")
     elif args.speed is not None:
         raise UsageError("--speed is for --replay")
+    for record in args.record or (None,):
+        require_outputs({"--state": args.state, "--record": record}, [args.pad])
     with _Out(args) as out:
         out.played() if args.replay is not None else out.lived()
     return 0

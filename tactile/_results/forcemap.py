@@ -249,11 +249,13 @@ class ForceMap(LoadEstimate):
         """
         if kind != "map":
             return super().plot(kind, truth=truth, ax=ax, path=path, show=show)
+        from loadid._plots.style import save
+
         from .pictures import map_figure, sequence_figure
 
         figure = map_figure(self, truth=truth) if self.single else sequence_figure(self, truth=truth)
         if path is not None:
-            figure.savefig(path)
+            save(figure, path)
         if show:
             from matplotlib import pyplot
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 import warnings
+from pathlib import Path
 from typing import Any
 
 from loadid import Penalty
 
-from . import demo, faults, frequency, grades, hammer, impacts, long, static, tactile, tracking
+from . import demo, faults, frequency, grades, hammer, impacts, long, mistakes, static, tactile, tracking
 from .scores import counts, table
 
 CAMPAIGNS = {
@@ -21,7 +23,7 @@ TABLES = {"frequency": frequency.table, "tracking": tracking.table, "tactile": t
 def main() -> None:
     """Run one campaign and print its table."""
     parser = argparse.ArgumentParser(prog="python -m tests.campaigns")
-    parser.add_argument("campaign", choices=[*sorted(CAMPAIGNS), "faults", "grades"])
+    parser.add_argument("campaign", choices=[*sorted(CAMPAIGNS), "faults", "grades", "mistakes"])
     parser.add_argument("--problems", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--error", default="none", help="one of those that the campaign knows")
@@ -33,7 +35,10 @@ def main() -> None:
     parser.add_argument("--longest", type=int, help="samples that a record may have, for long")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    if given.campaign == "faults":
+    if given.campaign == "mistakes":
+        with tempfile.TemporaryDirectory() as folder:
+            mistakes.show(list(mistakes.outcomes(Path(folder))))
+    elif given.campaign == "faults":
         faults.table(list(faults.run(given.problems, given.seed, given.error, fault=given.fault, family=given.family)))
     elif given.campaign == "grades":
         of = grades.drawn(given.problems, given.seed)

@@ -7,6 +7,7 @@ import pytest
 from loadid import cli
 from loadid._commands import require_outputs
 from structures.errors import InputError
+from structures.files import _storage as storage
 from tests.loadid.test_cli import installed, logs, model, run
 
 __all__ = ["installed", "logs", "model", "run"]
@@ -35,12 +36,26 @@ def listing(folder):
         ["-o", "x"],
         ["-o", ""],
         ["-o", "hit3.csv/r.h5"],
+        ["-o", "r.pdf"],
+        ["-o", "o.txt"],
+        ["-o", "r.json"],
+        ["-o", "r.h5", "--report", "r.pdf"],
+        ["-o", "r.h5", "--report", "r.h5.txt"],
+        ["-o", "new.h5"],
+        ["-o", "pipe.h5"],
+        ["-o", "r.h5", "--report", "new.html"],
+        ["-o", "r.h5", "--plot", "new.png"],
     ],
 )
 def test_identify_refuses_before_it_writes(run, logs, model, tmp_path, monkeypatch, outputs):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x").mkdir()
     (tmp_path / "link.h5").symlink_to(tmp_path / "model.h5")
+    (tmp_path / "far").mkdir()
+    for name in ("new.h5", "new.html", "new.png"):
+        (tmp_path / "far" / name).write_text("of somebody else")
+        (tmp_path / name).symlink_to(tmp_path / "far" / name)
+    os.mkfifo(tmp_path / "pipe.h5")
     before = listing(tmp_path)
     code, out, err = run("identify", "hit3.csv", "--model", tmp_path / "model.h5", *outputs)
     assert code == cli.BAD_INPUT, err
@@ -102,3 +117,57 @@ def test_a_run_that_is_stopped_leaves_no_partial_result(run, logs, model, tmp_pa
     assert "interrupted" in err
     assert reached
     assert listing(tmp_path) == before
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling link", "pipe", "socket", "folder"])
+def test_only_a_plain_file_is_replaced(tmp_path, monkeypatch, kind):
+    """What stands there stays what it is, and so does what a link leads to; nothing is left beside it."""
+    import socket
+
+    monkeypatch.chdir(tmp_path)  # paths of sockets are short
+    place, other = tmp_path / "o", tmp_path / "other"
+    if "link" in kind:
+        if kind == "link":
+            other.write_text("of somebody else")
+        place.symlink_to(other)
+    elif kind == "pipe":
+        os.mkfifo(place)
+    elif kind == "folder":
+        place.mkdir()
+    server = socket.socket(socket.AF_UNIX)
+    try:
+        if kind == "socket":
+            server.bind("o")
+        before = place.lstat()
+        with pytest.raises(InputError, match=f"this is a {kind.split()[-1]}"):
+            storage.replace(place, b"new")
+        with pytest.raises(InputError, match=f"this is a {kind.split()[-1]}"):
+            storage.write(place, {}, "estimate")
+        assert place.lstat() == before
+        assert sorted(p.name for p in tmp_path.iterdir()) == (["o", "other"] if kind == "link" else ["o"])
+        assert kind != "link" or other.read_text() == "of somebody else"
+    finally:
+        server.close()
+
+
+def test_a_device_is_refused(run, logs, model):
+    node = "/dev/null"
+    before = os.lstat(node)
+    for outputs in (["-o", node], ["-o", "r.h5", "--report", node], ["-o", "r.h5", "--plot", node]):
+        code, _, err = run("identify", logs[3], "--model", model, *outputs)
+        assert code == 3
+        assert "this is a device" in err
+    assert os.lstat(node) == before
+
+
+def test_results_and_models_are_named_as_hdf5(tmp_path, model):
+    from structures import MeasuredModel
+
+    known = MeasuredModel.load(model)
+    for name in ("m.npz", "m.txt", "m.h5.bak"):
+        with pytest.raises(InputError, match=r"suffix.*\.h5 or \.hdf5.*name it m\.h5?"):
+            known.save(tmp_path / name)
+        assert not (tmp_path / name).exists()
+    for name in ("m", "m.H5", "m.hdf5"):
+        known.save(tmp_path / name)
+        assert MeasuredModel.load(tmp_path / name).fingerprint == known.fingerprint

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from structures.errors import InputError, one_of
+from structures.files import _storage as storage
 
 from ..._guards.tracking import FAR
 from ..._inverse.gaussian.model import FilterModel, FilterState, SquareRoot
@@ -65,12 +66,8 @@ def write_c(
         raise InputError("no name of a C file", where=str(path), found=repr(path.name), expected="one like tracker.c",
                          hint="the header is written beside it, with .h")  # fmt: skip
     texts = sources(fitted, gate, width, most, name=name, dtype=dtype, file=path.stem)
-    try:
-        for target, text in zip((path.with_suffix(".h"), path), texts, strict=True):
-            target.write_text(text, encoding="ascii", newline="\n")
-    except OSError as error:
-        raise InputError("the file cannot be written", where=str(path), found=str(error), expected="a folder that is "
-                         "there", hint="create the folder first") from None  # fmt: skip
+    for target, text in zip((path.with_suffix(".h"), path), texts, strict=True):
+        storage.replace(target, text.encode("ascii"))
     return path
 
 
