@@ -9,6 +9,7 @@ from structures._flags import Evidence, Flag
 
 OUTSIDE = 0.05  # share of sensors and lines outside the tolerance that no drives of these shakers avoid
 COST = 0.5  # dB rms that limits may cost
+RIGID = 0.9  # share of the power of sensors around a point that a rigid motion explains
 
 
 def unreachable(error: NDArray[np.float64], tolerance: float, names: tuple[str, ...]) -> Flag | None:
@@ -70,3 +71,22 @@ def coupled(matrix: NDArray[np.complex128]) -> bool:
         return True
     off = matrix[:, ~np.eye(matrix.shape[1], dtype=bool)]
     return bool(np.any(off))
+
+
+def not_rigid(name: str, share: NDArray[np.float64], frequencies: NDArray[np.float64]) -> Flag | None:
+    """W119: the sensors around a virtual point move in ways that no rigid part does.
+
+    Parameters
+    ----------
+    share : array, shape (lines,)
+        Of their power that a rigid motion explains.
+    """
+    low = share < RIGID
+    if np.mean(low) <= OUTSIDE:
+        return None
+    return Flag(
+        "W119",
+        Evidence(f"share of the lines on which {name} is not rigid", float(np.mean(low)), OUTSIDE),
+        f"around {name} a rigid motion explains less than {RIGID:.0%} of the power on {np.mean(low):.0%} of the lines, "
+        f"from {frequencies[low][0]:.4g} Hz on (least {share.min():.0%})",
+    )

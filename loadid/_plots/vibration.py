@@ -9,12 +9,29 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .style import BLUE, GREEN, GREY, INK, ORANGE, PALE, PURPLE, SKY, few_labels, finished, new_figure, text, tidy, unit
+from .style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    PURPLE,
+    SKY,
+    few_labels,
+    finished,
+    mark,
+    new_figure,
+    text,
+    tidy,
+    unit,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..vibration._drives import Drives
+    from ..vibration._paths import TransferPaths
 
 COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
 SHOWN = 4  # sensors, the worst first
@@ -114,3 +131,79 @@ def _log(ax: Axes, f: NDArray[Any]) -> None:
         few_labels(ax.xaxis)
     if len(f) > 1:
         ax.set_xlim(float(f[0]), float(f[-1]))
+
+
+# -- transfer paths ----------------------------------------------------------------------------------------------------
+RANKED = 8  # blocked forces in a ranking
+
+
+def draw_paths(paths: TransferPaths, *, path: str | os.PathLike[str] | None = None, show: bool = False) -> Figure:
+    """Figure of a transfer path analysis; see `TransferPaths.plot`."""
+    figure = new_figure(show)
+    figure.set_size_inches(10, 7)
+    grid = figure.subplots(2, 2)
+    _forces(grid[0, 0], paths, turning=False)
+    _forces(grid[0, 1], paths, turning=True)
+    _predicted(grid[1, 0], paths)
+    _ranking(grid[1, 1], paths)
+    mark(figure, paths.estimate)
+    return finished(figure, path, show)
+
+
+def _forces(ax: Axes, paths: TransferPaths, *, turning: bool) -> None:
+    """Sizes of the blocked forces, or of the moments, with their 95 % band."""
+    e = paths.estimate
+    assert e.axis is not None
+    f, size = e.axis.values, np.abs(e.load)
+    moments = ["m" in u.replace("m/s", "").split("^2/Hz")[0] for u in e.units]
+    chosen = [j for j in range(size.shape[1]) if moments[j] == turning]
+    if not chosen:
+        ax.set_axis_off()
+        return
+    top = size[:, chosen].max()
+    for rank, j in enumerate(sorted(chosen, key=lambda j: -float(size[:, j].max()))[: len(COLOURS)]):
+        ax.fill_between(f, np.maximum(size[:, j] - 2 * e.std[:, j], top * 1e-9), size[:, j] + 2 * e.std[:, j],
+                        color=COLOURS[rank], alpha=0.2, lw=0)  # fmt: skip
+        ax.plot(f, size[:, j], color=COLOURS[rank], lw=1, label=text(e.labels[j]))
+    ax.set_yscale("log")
+    ax.set_ylim(top * 1e-4, top * 3)
+    ax.set(xlabel="frequency [Hz]", ylabel=f"[{unit(e.units[chosen[0]])}]")
+    ax.set_title(f"blocked {'moments' if turning else 'forces'}, ±2 std", loc="left", fontsize=9)
+    _log(ax, f)
+    few_labels(ax.yaxis)
+    tidy(ax)
+    ax.legend(fontsize=7, frameon=False, loc="best", ncols=2)
+
+
+def _predicted(ax: Axes, paths: TransferPaths) -> None:
+    """The sensor that was kept out and shows the largest error, measured and predicted."""
+    if paths.held_out is None:
+        ax.text(0.5, 0.5, "no sensor was kept out", ha="center", va="center", fontsize=9, transform=ax.transAxes)
+        ax.set_axis_off()
+        return
+    c = paths.held_out.comparison
+    i = int(np.argmax(np.nan_to_num(c.rms_lines)))
+    f = np.asarray(c.axis.values)
+    ax.semilogy(f, np.abs(c.measured)[:, i], color=INK, lw=1, label="measured, kept out")
+    ax.semilogy(f, np.abs(c.synthesised)[:, i], color=ORANGE, lw=1, ls="--", label="from the blocked forces")
+    ax.set(xlabel="frequency [Hz]", ylabel=f"[{unit(c.units[i])}]")
+    ax.set_title(f"{text(c.sensors[i])}: {c.rms_lines[i]:.2f} dB rms", loc="left", fontsize=9)
+    _log(ax, f)
+    few_labels(ax.yaxis)
+    tidy(ax)
+    ax.legend(fontsize=7, frameon=False, loc="best")
+
+
+def _ranking(ax: Axes, paths: TransferPaths) -> None:
+    """Shares of the blocked forces in the power of the receivers, with two std."""
+    ranked = paths.ranking()[:RANKED]
+    names = [text(name) for name, _, _ in ranked]
+    share = np.array([100 * s for _, s, _ in ranked])
+    std = np.array([0.0 if d is None else 200 * d for _, _, d in ranked])
+    y = np.arange(len(ranked))[::-1]
+    ax.barh(y, share, color=BLUE, height=0.7, xerr=std, error_kw={"ecolor": INK, "lw": 1, "capsize": 2})
+    ax.set_yticks(y, names)
+    ax.set(xlabel="share of the power of the receivers [%], ±2 std", xlim=(0, max(float((share + std).max()) * 1.1, 1)))
+    receivers = ", ".join(text(s.label) for s in paths.contributions.sensors[:4])
+    ax.set_title(f"who makes {receivers} move", loc="left", fontsize=9)
+    tidy(ax)

@@ -108,7 +108,7 @@ def test_autospectra_of_a_field_are_reproduced_within_one_decibel() -> None:
 
 
 def test_sensors_that_were_kept_out_are_told_by_both_predictions() -> None:
-    field, target = wanted()
+    _, target = wanted()
     m = lab.shaken()
     found, kept = find_drives(m, target), lab.part(m, lab.KEPT)
     power = lab.field().restricted(lab.KEPT).autospectra
@@ -259,6 +259,10 @@ def test_autospectra_alone_are_never_taken_for_a_matrix() -> None:
     FrequencyInversion(m, sensors=["a1"]).estimate(diagonal())  # one sensor has no cross spectra
 
 
+def velocities(target: Target) -> list[Channel]:
+    return [Channel(label=c.label, quantity="velocity", unit="m/s") for c in target.channels]
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -269,11 +273,7 @@ def test_autospectra_alone_are_never_taken_for_a_matrix() -> None:
         (lambda m, t: find_drives(m, Target(t.frequencies, 0 * t.levels + [0, *[1] * 7], t.channels)), "no motion"),
         (lambda m, t: find_drives(m, t, frf_error=0), "must be positive"),
         (lambda m, t: find_drives(m, Target(t.frequencies + 0.1, t.levels, t.channels)), "frequenc|line"),
-        (
-            lambda m, t: find_drives(m, Target(t.frequencies, t.levels, [Channel(label=c.label, quantity="velocity", unit="m/s")
-                                                                        for c in t.channels])),
-            "unit of a target",
-        ),
+        (lambda m, t: find_drives(m, Target(t.frequencies, t.levels, velocities(t))), "unit of a target"),
         (lambda m, t: find_drives(m, t).errors_on(m, np.ones((2, 2))), "does not fit"),
         (lambda m, t: find_drives(m, t).predict(few()), "other loads"),
     ],
