@@ -2,7 +2,8 @@
 
 The source is a rigid foot on one node of a simply supported plate. It carries two masses on springs beside the node;
 forces act on these masses. Blocked, the foot feels what the springs hand on, ``k / (k - omega^2 m)`` of each force, and
-its moments about the node. The assembly is the plate's mesh with the source added to it, solved line by line; its FRFs are "measured" by hits on the foot beside the node and on a second point of the plate.
+its moments about the node. The assembly is the plate's mesh with the source added to it, solved line by line; its FRFs
+are "measured" by hits on the foot beside the node and on a second point of the plate.
 """
 
 from __future__ import annotations

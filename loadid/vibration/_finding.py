@@ -166,14 +166,15 @@ def _sine(same: dict[str, Any], wanted: _Wanted, told: Callable[[float], None]) 
         relaxed, _ = densities(Goal(H, variance, None), Caps.none(lines, loads), lambda share: told(0.8 * share))
         w, V = np.linalg.eigh(relaxed)
         start = V[..., -1] * np.sqrt(np.maximum(w[..., -1:], 0.0))
-    return amplitudes(H, variance, wanted.phases, same["caps"], np.sqrt(same["most"]), start)
+    caps = Caps(same["caps"], same["spread"], same["most"], np.ones(lines), same["total"])
+    return amplitudes(H, variance, wanted.phases, caps, start)
 
 
 def _limits(
     limits: Sequence[Limit], model: Model, H: Complex, variance: Real, f: Real, kind: str
 ) -> tuple[tuple[str, ...], Caps]:
     """Names of the limits, and the limits themselves."""
-    from .._inverse.constrained.driven import Caps
+    from .._inverse.constrained.driven import Caps, allowing
 
     count, (lines, _, loads) = len(limits), H.shape
     rows, most, total = (
@@ -193,7 +194,7 @@ def _limits(
         channel = [*model.loads, *model.sensors][place]
         rows[n] = np.eye(loads)[place] if place < loads else H[:, place - loads]
         if place >= loads:
-            spread[n] = variance[:, place - loads]
+            rows[n], spread[n] = allowing(rows[n], variance[:, place - loads])
         value = limit.on(f, channel)
         if limit.kind == "rms":
             total[n] = value[0] ** 2

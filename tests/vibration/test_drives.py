@@ -137,16 +137,21 @@ def test_limits_hold_and_cost_no_more_than_they_must() -> None:
     assert loose.bound == ()
 
 
-def test_a_response_limit_holds_with_what_errors_of_the_frfs_add() -> None:
+def test_a_response_limit_holds_on_frfs_that_are_not_quite_right() -> None:
+    """On FRFs that are as wrong as was said, not only on those that the drives were found with."""
     _, target = wanted()
     m, free = lab.shaken(), find_drives(lab.shaken(), target)
     kept = lab.part(m, ("k1",))
     most = float(np.quantile(free.predict(kept).autospectra, 0.9))
     held = find_drives(m, target, limits=[Limit("k1", density=most)])
-    h = kept.H[:, 0]
-    expected = held.predict(kept).autospectra[:, 0] + np.einsum("kj,kj->k", (0.02 * np.abs(h)) ** 2, held.level)
-    assert expected.max() <= most * (1 + 1e-9)
-    assert expected.max() >= most * 0.999
+    told = held.predict(kept).autospectra[:, 0]
+    assert 0.8 * most < told.max() <= most
+    passed = []
+    for seed in range(20):
+        wrong = kept.H * (1 + 0.02 * normals(np.random.default_rng(seed), *kept.H.shape))
+        made = held.predict(FrfModel(kept.frequencies, wrong, sensors=kept.sensors, loads=kept.loads)).autospectra[:, 0]
+        passed.append(np.mean(made[told > 0.7 * most] > most))
+    assert np.mean(passed) < 0.05
 
 
 def test_shakers_in_volts_give_the_same_response_as_in_newtons() -> None:

@@ -31,6 +31,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 ROOT2 = float(np.sqrt(2.0))
 TINY = 1e-12  # of the largest entry of R, that keeps a load without any response from making it singular
+PRICE = (
+    0.1 / 4.343
+) ** 2  # of power squared, over that of the drives of the target or of its buzz: a tenth of a decibel
+SAFE = 3.0  # -log .05: a limit holds on a line with 95 % of the errors of the FRFs
 LIKE = 0.03  # weight of a squared normalised cross spectrum beside a squared logarithm of an autospectrum
 PHASES = 200  # rounds in which the phases of a sine follow the response
 FOLLOWED = 6  # and under limits
@@ -61,9 +65,8 @@ class Caps:
 
     Parameters
     ----------
-    rows : array, shape (limits, lines, loads)
-    spread : array, shape (limits, lines, loads)
-        Variance of the rows: a limit holds what errors of the FRFs add to a response, in the mean.
+    rows, spread : array, shape (limits, lines, loads)
+        Of a drive a unit vector and zeros; of a response as `allowing` makes them.
     most : array, shape (limits, lines)
         inf where there is none.
     widths : array, shape (lines,)
@@ -93,6 +96,17 @@ class Caps:
         """No limit."""
         empty = np.zeros((0, lines, loads))
         return cls(empty.astype(complex), empty, empty[..., 0], np.ones(lines), np.zeros(0))
+
+
+def allowing(row: Complex, variance: Real) -> tuple[Complex, Real]:
+    """Rows and spread (lines, loads) of a limited response that leave room for errors of its FRFs (lines, loads).
+
+    ``|h + d|^2 <= (1 + a) |h|^2 + (1 + 1/a) |d|^2`` for every a, with the size that d exceeds on 5 % of the lines; a is
+    the relative size of d, which is best where nothing cancels.
+    """
+    size = np.sum(np.abs(row) ** 2, axis=1, keepdims=True)
+    a = np.sqrt(SAFE * variance.sum(axis=1, keepdims=True) / np.maximum(size, 1e-300)).clip(1e-9)
+    return row * np.sqrt(1 + a), SAFE * variance * (1 + 1 / a)
 
 
 def densities(
@@ -133,9 +147,7 @@ def densities(
     return free, held
 
 
-def amplitudes(
-    H: Complex, variance: Real, phase: Real | None, rows: Complex, most: Real, start: Complex
-) -> tuple[Complex, Complex]:
+def amplitudes(H: Complex, variance: Real, phase: Real | None, caps: Caps, start: Complex) -> tuple[Complex, Complex]:
     """Complex loads that come nearest to amplitudes, without limits and under them.
 
     Parameters
@@ -144,8 +156,8 @@ def amplitudes(
         Each row over the amplitude that its sensor is to have.
     phase : array, shape (lines, sensors), or None
         rad; None: they are free, and follow the response, ``f -> arg H f``, which never raises the error.
-    rows, most : array, shape (limits, lines, loads) and (limits, lines)
-        ``|rows f|`` is at most `most`.
+    caps : Caps
+        Of squared amplitudes on the lines.
     start : array, shape (lines, loads)
         Loads whose response has the first phases, where they are free.
 
@@ -171,10 +183,10 @@ def amplitudes(
         if settled:
             break
     held = free.copy()
-    over = np.flatnonzero(np.any(np.abs(np.einsum("ckn,kn->ck", rows, free)) > most, axis=0))
+    over = np.flatnonzero(np.any(caps.power(free[:, :, None] * free[:, None, :].conj()) > caps.most, axis=0))
     for _ in range(FOLLOWED if phase is None else 1):
         for k in over:
-            held[k] = _cornered(Q[k], R[k], wanted[k], rows[:, k], most[:, k])
+            held[k] = _cornered(Q[k], R[k], wanted[k], caps.at(np.array([k])))
         aimed(held)
     return free, held
 
@@ -318,70 +330,75 @@ def _block(goal: Goal, Q: Complex, R: Complex, k: int) -> _Block:
     import clarabel
     from scipy import sparse
 
-    n = goal.H.shape[2]
-    m = n * n
-    cone = [clarabel.PSDTriangleConeT(2 * n)]
+    n, head = goal.H.shape[2], Q[: goal.H.shape[1]]
+    m, basis, back = n * n, _basis(n), _through(np.eye(n, dtype=complex)[:, None], R[None])[:, 0]
+    N = _normalised(goal.H[k]) if goal.target is None else goal.target[k]
+    aim = np.einsum("jnm,mn->j", basis, head.conj().T @ N @ head).real
+    trace = np.einsum("ln,jnm,lm->j", back, basis, back.conj()).real  # the power of the drives
+    dear = np.sqrt(PRICE * len(N)) / max(float(trace @ aim), 1e-300) * trace[None]
+    semi = [clarabel.PSDTriangleConeT(2 * n)]
     if goal.target is not None:
-        head = Q[: goal.H.shape[1]]
-        C = head.conj().T @ goal.target[k] @ head
-        aim = np.einsum("jnm,mn->j", _basis(n), C).real
-        return _Block(sparse.identity(m, format="csc"), -aim, -_cone(n), np.zeros(n * (2 * n + 1)), cone)
+        P, equal, rest = _residuals(1.0, dear, m, 0)
+        A = sparse.vstack([equal, sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), rest))])], format="csc")
+        return _Block(P, np.r_[-aim, np.zeros(rest)], A, np.zeros(A.shape[0]), [clarabel.ZeroConeT(1), *semi])
     # autospectra alone: p = G y, t p >= 1 by a second-order cone, and what errors of the FRF make of p by rows r = B y
-    G, B, aim = _powers(goal, Q, R, k)
-    sensors = len(G)
-    width = m + sensors + len(B)
-    P = sparse.diags(2 * np.concatenate([np.full(m, LIKE), np.zeros(sensors), np.ones(len(B))]), format="csc")
+    G, B = _powers(goal, back, k)
+    B, sensors = np.asarray(np.linalg.qr(np.concatenate([B, dear]), mode="r"), float), len(G)
+    P, equal, rest = _residuals(2 * LIKE, B, m, sensors)
     q = np.concatenate([G.sum(axis=0) - 2 * LIKE * aim, np.ones(sensors), np.zeros(len(B))])
-    equal = np.zeros((len(B), width))
-    equal[:, :m], equal[:, m + sensors :] = B, -np.eye(len(B))
-    hyper = np.zeros((3 * sensors, width))
+    hyper = np.zeros((3 * sensors, m + rest))
     for i in range(sensors):  # (t + p, t - p, 2) in the cone
         hyper[3 * i, :m], hyper[3 * i + 1, :m] = -G[i], G[i]
         hyper[3 * i, m + i], hyper[3 * i + 1, m + i] = -1.0, -1.0
-    semi = sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), width - m))])
-    A = sparse.vstack([sparse.csc_matrix(equal), sparse.csc_matrix(hyper), semi], format="csc")
+    cone = sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), rest))])
+    A = sparse.vstack([equal, sparse.csc_matrix(hyper), cone], format="csc")
     b = np.concatenate([np.zeros(len(B)), np.tile([0.0, 0.0, 2.0], sensors), np.zeros(n * (2 * n + 1))])
-    return _Block(P, q, A, b, [clarabel.ZeroConeT(len(B)), *[clarabel.SecondOrderConeT(3)] * sensors, *cone])
+    return _Block(P, q, A, b, [clarabel.ZeroConeT(len(B)), *[clarabel.SecondOrderConeT(3)] * sensors, *semi])
 
 
-def _powers(goal: Goal, Q: Complex, R: Complex, k: int) -> tuple[Real, Real, Real]:
-    """Rows of the responses over their targets, of their std by errors of the FRF, and what power costs.
+def _normalised(H: Complex) -> Complex:
+    """``H H^H`` over the roots of its diagonal: how a buzz test couples the sensors."""
+    rows = H / np.linalg.norm(H, axis=1, keepdims=True)
+    return np.asarray(rows @ rows.conj().T)
 
-    Shapes (sensors, n^2), (at most n^2, n^2) and (n^2,).
-    """
-    from scipy.linalg import solve_triangular
 
-    n = R.shape[0]
-    back = solve_triangular(R, np.eye(n, dtype=complex))
-    g = goal.H[k] @ back
-    basis = _basis(n)
+def _residuals(weight: float, B: Real, m: int, between: int) -> tuple[Any, Any, int]:
+    """P and rows for ``weight |y|^2 / 2 + |r|^2`` with r = B y; unknowns y, others, r; how many follow y."""
+    from scipy import sparse
+
+    P = sparse.diags(np.concatenate([np.full(m, weight), np.zeros(between), np.full(len(B), 2.0)]), format="csc")
+    return P, sparse.csc_matrix(np.hstack([B, np.zeros((len(B), between)), -np.eye(len(B))])), between + len(B)
+
+
+def _powers(goal: Goal, back: Complex, k: int) -> tuple[Real, Real]:
+    """Rows of the responses over their targets, (sensors, n^2), and of their std by errors of the FRF, (rows, n^2)."""
+    n = len(back)
+    g, basis = goal.H[k] @ back, _basis(n)
     G = np.einsum("sn,jnm,sm->sj", g, basis, g.conj()).real
     pushed = np.einsum("ln,jnm,sm->slj", back, basis, g.conj())  # (X h^H) of every sensor and load
     rows = (np.sqrt(2 * goal.variance[k])[..., None] * pushed).reshape(-1, n * n)
-    both = np.concatenate([rows.real, rows.imag])
-    root = np.sqrt(np.einsum("sn,sn->s", goal.H[k], goal.H[k].conj()).real)
-    head = Q[: len(root)].conj().T @ (goal.H[k] / root[:, None])
-    aim = np.einsum("jnm,mn->j", basis, head @ head.conj().T).real
-    return G, np.asarray(np.linalg.qr(both, mode="r")), aim
+    return G, np.concatenate([rows.real, rows.imag])
 
 
-def _cornered(Q: Complex, R: Complex, wanted: Complex, rows: Complex, most: Real) -> Complex:
-    """``min |Q R f - wanted|`` with every ``|rows f| <= most``, of one line: z = R f is the unknown."""
+def _cornered(Q: Complex, R: Complex, wanted: Complex, caps: Caps) -> Complex:
+    """``min |Q R f - wanted|`` under the limits of one line: z = R f is the unknown, and each limit a cone."""
     import clarabel
     from scipy import sparse
 
-    n, aim, keep = len(R), Q.conj().T @ wanted, np.isfinite(most)
-    w = _through(rows[keep, None], R[None])[:, 0] / most[keep, None]
-    blocks = []
-    for row in w:
-        blocks.append(np.concatenate([np.zeros((1, 2 * n)), -np.stack([np.r_[row.real, -row.imag],
-                                                                      np.r_[row.imag, row.real]])]))  # fmt: skip
-    b = np.tile([1.0, 0.0, 0.0], len(w))
-    cones = [clarabel.SecondOrderConeT(3)] * len(w)
+    n, aim = len(R), Q.conj().T @ wanted
+    blocks, b, cones = [], [], []
+    for c in np.flatnonzero(np.isfinite(caps.most[:, 0])):
+        own = np.diag(np.sqrt(caps.spread[c, 0]))
+        stacked = np.concatenate([caps.rows[c], own[own.any(axis=1)]])[:, None] / np.sqrt(caps.most[c, 0])
+        w = _through(stacked, R[None])[:, 0]
+        blocks += [np.zeros((1, 2 * n)), -np.hstack([w.real, -w.imag]), -np.hstack([w.imag, w.real])]
+        b.append(np.r_[1.0, np.zeros(2 * len(w))])
+        cones.append(clarabel.SecondOrderConeT(1 + 2 * len(w)))
     z = _run(sparse.identity(2 * n, format="csc"), -np.r_[aim.real, aim.imag],
-             sparse.csc_matrix(np.concatenate(blocks)), b, cones)  # fmt: skip
+             sparse.csc_matrix(np.concatenate(blocks)), np.concatenate(b), cones)  # fmt: skip
     f = np.linalg.solve(R, z[:n] + 1j * z[n:])
-    return np.asarray(f / max(1.0, float(np.max(np.abs(rows[keep] @ f) / most[keep]))))
+    over = float(np.max(caps.power(f[None, :, None] * f[None, None, :].conj()) / caps.most))
+    return np.asarray(f / np.sqrt(max(1.0, over)))
 
 
 def _run(P: Any, q: Real, A: Any, b: Real, cones: list[Any]) -> Real:
