@@ -39,6 +39,7 @@ DOORS = (
     "loadid._batch",
     "loadid._serve",
     "loadid._stream",
+    "loadid.vibration",
 )
 
 

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures._flags import Flag
 from structures._model import Model, as_model
+from structures._testing.welch import CrossSpectra
 from structures.errors import InputError, NotIdentifiable, positive
 
 from .. import _guards as guards
 from .._guards import families as told
+from .._guards import vibration as spectral
 from .._inverse.choice import CLEARLY, named
 from .._inverse.discrepancy import FLOOR, Discrepancy
 from .._inverse.posterior import SpectralPosterior
@@ -143,6 +145,7 @@ class FrequencyInversion:
         NotIdentifiable
             With choice 0, where a line does not determine the loads (LID-E306).
         """
+        alone = self._autospectra_alone(found)
         self._progress(0.05, "making the lines")
         everything = lines_of(found, dt, self.model, np.concatenate([self.rows, self.held]), self.settings)
         count = len(self.rows)
@@ -168,10 +171,23 @@ class FrequencyInversion:
         self._progress(1.0, "done")
         return answer(
             self, line, found, choice, known=line.known, settings=self._named_settings(line), prior=self._prior(),
-            flags=self._flags(solved, line, H[:, line.rows], found), spare=of_lines(line, H[:, line.rows]),
+            flags=[*self._flags(solved, line, H[:, line.rows], found), alone], spare=of_lines(line, H[:, line.rows]),
         )  # fmt: skip
 
     # -- saying -----------------------------------------------------------------------------------------------------
+    def _autospectra_alone(self, found: Any) -> Flag | None:
+        """E221: a matrix of cross spectra of which only the diagonal was given, and more than one sensor is used."""
+        if not isinstance(found, CrossSpectra) or len(self.rows) == 1 or spectral.coupled(found.matrix):
+            return None
+        count = len(found.channels)
+        if "LID-E221" in self.allow:
+            return spectral.alone(count)
+        raise InputError("autospectra alone are no matrix of cross spectra", where="estimate",
+                         found=f"no cross spectrum between any two of {count} channels",
+                         expected="how the channels move together",
+                         hint="loadid.vibration.by_buzz or by_coherence fill the cross spectra; find_drives takes "
+                         "autospectra alone", code="LID-E221")  # fmt: skip
+
     def _refuse_undetermined(self, solved: LineFit) -> None:
         lost = int(np.sum(np.any(solved.identifiable.gain == 0, axis=1)))
         if self.rule.free and lost and "LID-E306" not in self.allow:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._channels import Channel, named
 from .._model import Model
-from ..errors import InputError, NotIdentifiable, digest, reals
+from ..errors import InputError, NotIdentifiable, digest, plain, reals
 from .statespace import StateSpace
 
 
@@ -198,28 +198,83 @@ def rigid(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike = (0.0,
     return np.concatenate([e, np.cross(r - point, e)], axis=1)
 
 
-def motions_of(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
-    """Matrix (6, channels) that takes measured motions to those of the virtual point, by least squares.
+def motions_of(
+    positions: ArrayLike,
+    directions: ArrayLike,
+    centre: ArrayLike = (0.0, 0.0, 0.0),
+    motions: Sequence[str] = MOTIONS,
+) -> NDArray[np.float64]:
+    """Matrix (motions, channels) that takes measured motions to those of the virtual point, by least squares.
 
     Raises
     ------
+    InputError
+        Motions that are none.
     NotIdentifiable
         Channels that leave a motion unseen; it is named.
     """
-    R = _full(positions, directions, centre, "sensors")
+    R = _full(positions, directions, centre, "sensors", motions)
     return np.asarray(np.linalg.lstsq(R, np.eye(len(R)), rcond=RANK)[0], float)
 
 
-def loads_of(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
-    """Matrix (loads, 6) of the smallest forces at the channels that make up unit forces and moments at the point.
+def loads_of(
+    positions: ArrayLike,
+    directions: ArrayLike,
+    centre: ArrayLike = (0.0, 0.0, 0.0),
+    motions: Sequence[str] = MOTIONS,
+) -> NDArray[np.float64]:
+    """Matrix (loads, motions) of the smallest forces at the channels that make up unit forces and moments at the point.
 
     Raises
     ------
+    InputError
+        Motions that are none.
     NotIdentifiable
         Forces that cannot make up one of them; it is named.
     """
-    R = _full(positions, directions, centre, "forces")
-    return np.asarray(np.linalg.lstsq(R.T, np.eye(6), rcond=RANK)[0], float)
+    R = _full(positions, directions, centre, "forces", motions)
+    return np.asarray(np.linalg.lstsq(R.T, np.eye(R.shape[1]), rcond=RANK)[0], float)
+
+
+def rigid_share(
+    values: ArrayLike,
+    positions: ArrayLike,
+    directions: ArrayLike,
+    centre: ArrayLike = (0.0, 0.0, 0.0),
+    motions: Sequence[str] = MOTIONS,
+) -> NDArray[np.float64]:
+    """Share of the power of sensors around a point that the motions of a rigid part explain, shape (lines,).
+
+    Parameters
+    ----------
+    values : array, shape (lines, channels, ...), complex
+        Their FRFs or spectra.
+    motions : sequence of str
+        Those that the part is taken to have.
+
+    Raises
+    ------
+    InputError
+        No more channels than motions, which explain anything; arrays that do not fit.
+    NotIdentifiable
+        As `motions_of`.
+
+    Notes
+    -----
+    The overall sensor consistency, squared, of van der Seijs et al. (head of this module).
+    """
+    R = _full(positions, directions, centre, "sensors", motions)
+    x = np.asarray(plain(values), complex)
+    x = x.reshape(*x.shape[:2], -1) if x.ndim > 1 else x[None, :, None]
+    if x.shape[1] != len(R) or len(R) <= R.shape[1] or not np.all(np.isfinite(x)):
+        raise InputError("these sensors cannot show whether the part is rigid", where="rigid_share",
+                         found=f"{x.shape[1]} channels of values, {len(R)} positions",
+                         expected=f"more than {R.shape[1]}, one position each",
+                         hint="a sensor more than there are motions")  # fmt: skip
+    Q = np.linalg.qr(R / np.maximum(np.linalg.norm(R, axis=0), 1e-300))[0]
+    inside = np.sum(np.abs(np.einsum("sr,ksn->krn", Q, x)) ** 2, axis=(1, 2))
+    whole = np.sum(np.abs(x) ** 2, axis=(1, 2))
+    return np.asarray(np.divide(inside, whole, out=np.ones(len(x)), where=whole > 0), float)
 
 
 def at_point(
@@ -228,8 +283,9 @@ def at_point(
     directions: ArrayLike,
     centre: ArrayLike = (0.0, 0.0, 0.0),
     label: str = "point",
+    motions: Sequence[str] = MOTIONS,
 ) -> MappedModel:
-    """The model under three forces and three moments at a virtual point, in place of the forces around it.
+    """The model under forces and moments at a virtual point, in place of the forces around it.
 
     Parameters
     ----------
@@ -237,6 +293,8 @@ def at_point(
         Its loads are the forces at `positions` along `directions`.
     label : str
         The loads are called ``label+X ... label+RZ``.
+    motions : sequence of str
+        Of `MOTIONS`, in their order: of hits along Z alone Z, RX and RY.
 
     Raises
     ------
@@ -245,31 +303,42 @@ def at_point(
     NotIdentifiable
         As `loads_of`.
     """
-    T = loads_of(positions, directions, centre)
+    T = loads_of(positions, directions, centre, motions)
     if len(T) != len(model.loads):
         raise InputError("positions and loads do not fit", where="at_point", found=f"{len(T)} positions",
                          expected=f"one for each of {len(model.loads)} loads")  # fmt: skip
-    names = [
+    return mapped(model, T, point_loads(label, motions))
+
+
+def point_loads(label: str, motions: Sequence[str] = MOTIONS) -> list[Channel]:
+    """Forces and moments at a virtual point, ``label+X ... label+RZ``."""
+    return [
         Channel(label=f"{label}+{m}", quantity="moment" if "R" in m else "force", unit="N*m" if "R" in m else "N")
-        for m in MOTIONS
+        for m in motions
     ]
-    return mapped(model, T, names)
 
 
-def _full(positions: ArrayLike, directions: ArrayLike, centre: ArrayLike, what: str) -> NDArray[np.float64]:
-    R = rigid(positions, directions, centre)
+def _full(
+    positions: ArrayLike, directions: ArrayLike, centre: ArrayLike, what: str, motions: Sequence[str]
+) -> NDArray[np.float64]:
+    chosen = [m for m in MOTIONS if m in motions]
+    if not chosen or list(motions) != chosen:
+        raise InputError("no motions of a rigid part", where="motions", found=list(motions),
+                         expected=f"some of {list(MOTIONS)}, in this order")  # fmt: skip
+    R = rigid(positions, directions, centre)[:, [MOTIONS.index(m) for m in chosen]]
     arms = R.copy()
-    size = float(np.max(np.abs(arms[:, 3:]), initial=0.0)) or 1.0
-    arms[:, 3:] /= size
+    turning = [k for k, m in enumerate(chosen) if "R" in m]
+    arms[:, turning] /= float(np.max(np.abs(arms[:, turning]), initial=0.0)) or 1.0
     _, s, Vh = np.linalg.svd(arms)
+    count = len(chosen)
     rank = int(np.sum(s > RANK * s[0]))
-    if rank < 6:
+    if rank < count:
         lost = np.max(np.abs(Vh[rank:]), axis=0) > 0.5
-        left = ", ".join(m for m, gone in zip(MOTIONS, lost, strict=True) if gone) or "a combination of motions"
+        left = ", ".join(m for m, gone in zip(chosen, lost, strict=True) if gone) or "a combination of motions"
         raise NotIdentifiable(
-            f"these {what} leave a motion of the virtual point open: {left} (rank {rank} of 6)",
-            advice="add channels off the others' axes, or give the combinations that exist as a matrix "
-            "(structures.virtual.mapped)",
+            f"these {what} leave a motion of the virtual point open: {left} (rank {rank} of {count})",
+            advice="add channels off the others' axes, leave these motions out (motions=), or give the combinations "
+            "that exist as a matrix (structures.virtual.mapped)",
             code="LID-W201",
         )
     return R

@@ -15,7 +15,7 @@ from .._flags import Evidence, Flag
 from .._model import convolved
 from ..errors import InputError, NotIdentifiable, digests
 from . import kinds
-from .impact import SILENT, Hit, TrainingRecords, check_quantities
+from .impact import DRIVES, SILENT, Hit, TrainingRecords, check_quantities
 from .welch import CrossSpectra, cross_spectra, gather
 
 ESTIMATORS = ("H1", "H2", "Hv", "Hs")
@@ -328,7 +328,7 @@ def _residual(b: _Blocks, H: NDArray[Any]) -> NDArray[np.float64]:
 
 # -- records ----------------------------------------------------------------------------------------------------------
 def channels_of(spectra: CrossSpectra, forces: Any, responses: Any) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    """Channels of the forces and of the responses, in SI and of quantities that they can have.
+    """Channels of the forces (or of the voltages that drive shakers) and of the responses, of quantities they can have.
 
     Raises
     ------
@@ -338,7 +338,7 @@ def channels_of(spectra: CrossSpectra, forces: Any, responses: Any) -> tuple[tup
     loads = tuple(spectra.channels[i] for i in spectra.index(forces))
     sensors = tuple(spectra.channels[i] for i in spectra.index(responses))
     for load in loads:
-        check_quantities((load, *sensors))
+        check_quantities((load, *sensors), DRIVES)
     return loads, sensors
 
 

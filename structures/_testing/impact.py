@@ -154,6 +154,7 @@ def second_pulse(force: NDArray[Any], k: int, noise: float = 0.0) -> int | None:
 
 
 FORCES = ("force", "moment", "pressure", "line_load", "arbitrary")
+DRIVES = (*FORCES, "voltage")  # of a shaker: an FRF per volt
 SILENT = 0.01  # share of the lines on which a force may have no energy
 NEIGHBOURS = 5  # lines on each side over which residual power is averaged
 
@@ -237,10 +238,10 @@ def _repeated(responses: NDArray[Any], hits: Sequence[Hit]) -> str:
     return f"the same record as {same[0]}" if same else ""
 
 
-def check_quantities(channels: Sequence[Channel]) -> None:
-    """Refuse a force that is no force, and a response that is one."""
+def check_quantities(channels: Sequence[Channel], drives: Sequence[str] = FORCES) -> None:
+    """Refuse a force that is no force (none of `drives`), and a response that is one."""
     force, *responses = channels
-    if force.quantity not in FORCES:
+    if force.quantity not in drives:
         raise InputError(
             "the unit of the force channel is no unit of a force",
             where=f"channel {force.label}",
