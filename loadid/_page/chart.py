@@ -266,7 +266,7 @@ def _view(chart: Chart, view: Range, ends: Range) -> dict[str, Any]:
     return {
         "bands": bands, "paths": paths, "dots": dots, "bars": bars, "zero": _zero(chart, ends),
         "x_ticks": _named(chart, view) if chart.names else _ticks(view, chart.x_log, 7),
-        "y_ticks": [(_place(1 - share), text) for share, text in _shared(ends, chart.y_log, 6)],
+        "y_ticks": [(_place(1 - share), text) for share, text in _shared(ends, chart.y_log, 8)],
         "lines": [
             (_place(share), name, share > AT_END)
             for at, name in chart.lines

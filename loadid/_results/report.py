@@ -16,6 +16,7 @@ from .functionals import in_words
 from .summary import (
     CAUTIONS,
     DISC95,
+    OTHERS,
     UNEXPLAINED,
     Z95,
     against,
@@ -39,9 +40,10 @@ from .summary import (
 
 if TYPE_CHECKING:
     from .._page.chart import Chart
-    from .estimate import LoadEstimate, Peak
+    from .estimate import LoadEstimate
 
-_SHOWN = 12
+_SHOWN = 12  # loads that are compared with known ones
+_LISTED = 200  # loads of the table
 # what a setting that was not given stands for
 _DEFAULTS = {
     "choice": "automatic",
@@ -69,6 +71,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
     sections = [
         Section("Result", _page.joined(_known(estimate, truth), _picture(estimate, truth, png), _notes(estimate))),
         Section("Cautions", cautions(estimate)),
+        Section("Every load", _every(estimate), folded=True),
         Section("What every line can tell", _lines(estimate), folded=True),
         Section("Measured against predicted", _response(estimate), folded=True),
         Section("What the data cannot tell", _limits(estimate), folded=True),
@@ -86,7 +89,8 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
 def fragment(estimate: LoadEstimate) -> str:
     """Short form for notebooks: answer, picture and cautions in the style of the page, without a script."""
     answer, picture = _page.joined(_answer(estimate), checked(estimate)), _picture(estimate, None, page=False)
-    return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate), flag_list(estimate))
+    folded = [("Every load", _every(estimate)), ("Flags", flag_list(estimate))]
+    return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate), folded)
 
 
 def about(e: LoadEstimate) -> str:
@@ -101,30 +105,41 @@ def refused(e: LoadEstimate) -> Html:
 
 
 def _answer(e: LoadEstimate) -> Html:
-    """The largest load with its band and its grade; the others."""
-    order = sorted(zip(e.peaks, impulses(e), strict=True), key=lambda pair: -abs(pair[0].value))
-    (first, impulse), others = order[0], order[1:_SHOWN]
-    wide = DISC95 if e.load.dtype.kind == "c" else Z95
-
-    def said(peak: Peak) -> str:
-        return f"{plus_minus(peak.value, wide * peak.std)} {peak.unit}"
-
-    def remark(peak: Peak, impulse: str) -> str:
-        at = "" if peak.at is None or e.axis is None else f"peak at {along(e.axis, peak.at)}"
-        return " · ".join(x for x in (at, impulse, f"std ± {number(peak.std, 2)} {peak.unit}") if x)
-
-    what = first.label if e.axis is None else f"peak of {first.label}"
-    cards = [(peak.label, said(peak), remark(peak, impulse)) for peak, impulse in others]
-    cards += [(r.name, f"{plus_minus(r.value, None if r.std is None else Z95 * r.std)} {r.unit}", "resultant")
-              for r in e.resultants]  # fmt: skip
-    more = len(order) - 1 - len(others)
+    """The largest load with its band and its grade; resultants, and a few others."""
+    first, *others = _told(e)
+    cards = [(r.name, f"{plus_minus(r.value, None if r.std is None else Z95 * r.std)} {r.unit}", "resultant, 95 % band")
+             for r in e.resultants]  # fmt: skip
+    named = [] if cards else others[: OTHERS - 1]
+    more = len(others) - len(named)
     return _page.joined(
         refused(e),
-        _page.part("answer", what, said(first), "95 % band", e.grade.letter, str(e.grade)),
-        _page.part("quiet", remark(first, impulse)),
-        _page.part("cards", cards) if cards else "",
-        _page.part("quiet", f"{more} smaller loads not listed") if more else "",
-    )
+        _page.part("answer", first[0] if e.axis is None else f"peak of {first[0]}", first[1], "95 % band",
+                   e.grade.letter, str(e.grade)),
+        _page.part("quiet", first[2]),
+        _page.part("cards", [*cards, *named]) if cards or named else "",
+        _page.part("quiet", f"{more} smaller load{'s' * (more != 1)} below, under Every load") if more > 0 else "",
+    )  # fmt: skip
+
+
+def _told(e: LoadEstimate) -> list[tuple[str, str, str]]:
+    """Label, value with its 95 % band, and remark of every load, the largest first."""
+    wide = DISC95 if e.load.dtype.kind == "c" else Z95
+    rows = []
+    for peak, impulse in sorted(zip(e.peaks, impulses(e), strict=True), key=lambda pair: -abs(pair[0].value)):
+        at = "" if peak.at is None or e.axis is None else f"peak at {along(e.axis, peak.at)}"
+        remark = " · ".join(x for x in (at, impulse, f"std ± {number(peak.std, 3)} {peak.unit}") if x)
+        rows.append((peak.label, f"{plus_minus(peak.value, wide * peak.std)} {peak.unit}", remark))
+    return rows
+
+
+def _every(e: LoadEstimate) -> Html | str:
+    """All loads as a table, where the answer does not name them all."""
+    rows = _told(e)
+    if len(rows) <= OTHERS and not (e.resultants and len(rows) > 1):
+        return ""
+    more = len(rows) - _LISTED
+    rest = _page.part("quiet", f"and {more} smaller ones, in the result file") if more > 0 else ""
+    return _page.joined(_page.table(rows[:_LISTED], ("load", "value, 95 % band", "")), rest)
 
 
 def checked(e: LoadEstimate) -> Html:

@@ -180,7 +180,7 @@ const live = figure => {
     const columns = Math.max(200, Math.min(Math.round(plot.clientWidth), 2000)), curves = group("curves"), dots = group("dots");
     const ticksX = chart.names.length ? chart.names.map((_, i) => i).filter(i => i % Math.ceil(chart.names.length / 8) === 0 && i >= view[0] && i <= view[1])
       : ticks(...view, chart.xLog, Math.max(3, Math.min(7, Math.floor(plot.clientWidth / 80))));
-    const ticksY = ticks(...ends, chart.yLog, 6);
+    const ticksY = ticks(...ends, chart.yLog, 8);
     const atX = v => percent(share(v, view, chart.xLog)), atY = v => percent(1 - share(v, ends, chart.yLog));
     group("grid").replaceChildren(
       ...ticksX.map(v => made("line", { x1: atX(v), x2: atX(v), y1: "0", y2: "100%" })),
