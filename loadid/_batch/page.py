@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
-from importlib.resources import files
 from typing import Any
 
+from .. import _page
+from .._page import Cell, Html, Section
 from .plan import Plan
 from .results import MISFIT, UNKNOWN, Results
 
@@ -15,23 +15,7 @@ Row = Mapping[str, Any]
 SHOWN = 200  # alarms, and records without an answer, that are listed; the tables hold all
 DAYS = 60  # columns of the picture of the sensors, the last ones
 GRADES = "ABCD"
-STYLE = """
-.eyes { font-weight: 600; color: var(--warn); } th[data-sort] { cursor: pointer; }
-th[data-sort]::after { content: " \\2195"; color: var(--quiet); }
-.day { display: inline-block; width: .7rem; height: 1rem; margin-right: 1px; vertical-align: middle; }
-.good { background: #7fbf9f; } .some { background: #f0c36d; } .bad { background: #b34700; } .none { background: #eee; }
-.wide { max-width: 90rem; } td { min-width: 0; }
-"""
-SCRIPT = """
-for (const head of document.querySelectorAll('th[data-sort]')) head.addEventListener('click', () => {
-  const body = head.closest('table').tBodies[0], at = head.cellIndex, up = head.dataset.up !== 'yes';
-  head.dataset.up = up ? 'yes' : 'no';
-  const key = row => row.cells[at].dataset.v ?? row.cells[at].textContent;
-  const order = (a, b) => { const x = key(a), y = key(b), d = x - y;
-    return (Number.isNaN(d) ? x.localeCompare(y) : d) * (up ? 1 : -1); };
-  body.append(...[...body.rows].sort(order));
-});
-"""
+SIGNS = {"some": "~", "bad": "!"}  # of days, for who does not see colours
 
 
 @dataclass(frozen=True)
@@ -52,7 +36,7 @@ class AssetLine:
     peak, equivalent : str
         Largest peak with its band; largest damage-equivalent load.
     days : dict of str to dict of str to str
-        Sensor -> day -> ``good``, ``some`` or ``bad``.
+        Sensor -> day -> ``sound``, ``some`` or ``bad``.
     """
 
     asset: str
@@ -79,37 +63,17 @@ def fleet(plan: Plan, found: Results) -> str:
     missing = [row for row in records if row["status"] != "done"]
     alarms = sorted(found.rows["alarms"], key=lambda row: not row["certain"])
     sections = [
-        ("Assets", _assets(lines)),
-        ("Sensors over time", _sensors(lines)),
-        ("Alarms", _listed(alarms, ("asset", "day", "record", "said", "certain"))),
-        ("Records without an answer", _listed(missing, ("asset", "record", "status", "said"))),
+        Section("Assets", _assets(lines)),
+        Section("Sensors over time", _sensors(lines)),
+        Section("Alarms", _listed(alarms, ("asset", "day", "record", "said", "certain"))),
+        Section("Records without an answer", _listed(missing, ("asset", "record", "status", "said"))),
     ]
-    body = "\n".join(f"<section>\n<h2>{name}</h2>\n{text}\n</section>" for name, text in sections if text)
-    policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-    css = files("loadid").joinpath("report.css").read_text(encoding="utf-8")
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<title>Loads of a fleet: {escape(plan.path.stem)}</title>
-<style>
-{css}{STYLE}</style>
-</head>
-<body class="wide">
-<header>
-<h1>Loads of a fleet: {escape(plan.path.stem)}</h1>
-<p class="{"notice" if eyes else "notice good"}">{eyes} of {len(lines)} assets need eyes; {done} of {len(records)}
-records have an answer; {len(alarms)} alarms, {sum(1 for row in alarms if row["certain"])} of them certain.</p>
-</header>
-<main>
-{body}
-</main>
-<script>{SCRIPT}</script>
-</body>
-</html>
-"""
+    said = (f"{eyes} of {len(lines)} assets need eyes; {done} of {len(records)} records have an answer; "
+            f"{len(alarms)} alarms, {sum(1 for row in alarms if row['certain'])} of them certain.")  # fmt: skip
+    answer = _page.part("notice", said, "" if eyes else "good")
+    return _page.document(
+        f"Loads of a fleet: {plan.path.stem}", sections, answer=answer, script=_page.TABLES, wide=True
+    )
 
 
 def _line(
@@ -146,9 +110,11 @@ def _days(sensors: Iterable[Row], alarms: Iterable[Row]) -> dict[str, dict[str, 
     days: dict[str, dict[str, str]] = {}
     odd = {(row["about"], row["record"]) for row in alarms if row["kind"] == "sensor"}
     for row in sensors:
-        state = "bad" if row["found"] else "some" if (row["sensor"], row["record"]) in odd or row["missing"] else "good"
+        state = (
+            "bad" if row["found"] else "some" if (row["sensor"], row["record"]) in odd or row["missing"] else "sound"
+        )
         own = days.setdefault(row["sensor"], {})
-        own[row["day"]] = max(own.get(row["day"], "good"), state, key=("good", "some", "bad").index)
+        own[row["day"]] = max(own.get(row["day"], "sound"), state, key=("sound", "some", "bad").index)
     return days
 
 
@@ -159,58 +125,46 @@ def _by_asset(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return found
 
 
-def _assets(lines: Sequence[AssetLine]) -> str:
+def _assets(lines: Sequence[AssetLine]) -> Html:
     heads = ("needs eyes", "asset", "why", "records", "worst grade", "peak / limit", "largest peak (95 %)",
              "equivalent load")  # fmt: skip
-    rows = []
-    for line in lines:
-        use = "" if line.use is None else f"{100 * line.use:.0f} %"
-        eyes = '<span class="eyes">look</span>' if line.attention else "no"
-        cells = (
-            (f"{line.attention:.4f}", eyes), (None, escape(line.asset)), (None, escape(line.why)),
-            (line.done, f"{line.done} of {line.records}"), (None, line.grade), (line.use or 0, use),
-            (None, escape(line.peak)), (None, escape(line.equivalent)),
-        )  # fmt: skip
-        rows.append("".join(_cell(value, text) for value, text in cells))
-    return _table(heads, rows, sortable=True)
+    rows = [
+        (
+            Cell(_page.part("eyes", line.attention > 0), round(line.attention, 4)), line.asset, line.why,
+            Cell(f"{line.done} of {line.records}", line.done), line.grade,
+            Cell("" if line.use is None else f"{100 * line.use:.0f} %", line.use or 0), line.peak, line.equivalent,
+        )
+        for line in lines
+    ]  # fmt: skip
+    return _page.table(rows, heads, sortable=True)
 
 
-def _cell(value: Any, text: str) -> str:
-    return f"<td>{text}</td>" if value is None else f'<td data-v="{value}">{text}</td>'
-
-
-def _sensors(lines: Sequence[AssetLine]) -> str:
+def _sensors(lines: Sequence[AssetLine]) -> Html | str:
     days = sorted({day for line in lines for own in line.days.values() for day in own} - {UNKNOWN})[-DAYS:]
     days = days or [UNKNOWN]
     rows = []
     for line in lines:
         for sensor, own in line.days.items():
-            marks = "".join(
-                f'<span class="day {own.get(day, "none")}" title="{escape(day)}: {own.get(day, "no record")}"></span>'
-                for day in days
-            )
-            rows.append(f"<td>{escape(line.asset)}</td><td>{escape(sensor)}</td><td>{marks}</td>")
-    words = (f'<p class="quiet">A mark is a day, {escape(days[0])} to {escape(days[-1])}: green is sound, yellow has '
-             f"gaps or a misfit {MISFIT:g} times its usual one, red has findings (clipped, flat, held, ...), grey has "
-             "no record.</p>")  # fmt: skip
-    return words + _table(("asset", "sensor", "days"), rows, sortable=True) if rows else ""
-
-
-def _listed(rows: Sequence[Row], names: Sequence[str]) -> str:
+            states = [(day, own.get(day, "none")) for day in days]
+            marks = [(day, state, SIGNS.get(state, "")) for day, state in states]
+            rows.append((line.asset, sensor, _page.part("days", marks)))
+    words = (f"A mark is a day, {days[0]} to {days[-1]}: green is sound, yellow (~) has gaps or a misfit {MISFIT:g} "
+             "times its usual one, red (!) has findings (clipped, flat, held, ...), grey has no record.")  # fmt: skip
     if not rows:
         return ""
-    shown = ["".join(f"<td>{escape(_word(row[name]))}</td>" for name in names) for row in rows[:SHOWN]]
+    return _page.joined(_page.part("quiet", words), _page.table(rows, ("asset", "sensor", "days"), sortable=True))
+
+
+def _listed(rows: Sequence[Row], names: Sequence[str]) -> Html | str:
+    if not rows:
+        return ""
     more = len(rows) - SHOWN
-    rest = f'<p class="quiet">and {more} more, in the tables</p>' if more > 0 else ""
-    return _table([name.replace("said", "what") for name in names], shown, sortable=True) + rest
+    shown = _page.table(
+        [[_word(row[name]) for name in names] for row in rows[:SHOWN]],
+        [name.replace("said", "what") for name in names], sortable=True,
+    )  # fmt: skip
+    return _page.joined(shown, _page.part("quiet", f"and {more} more, in the tables") if more > 0 else "")
 
 
 def _word(value: Any) -> str:
     return ("yes" if value else "no") if isinstance(value, bool) else str(value)
-
-
-def _table(heads: Sequence[str], rows: Sequence[str], *, sortable: bool) -> str:
-    mark = ' data-sort="yes"' if sortable else ""
-    top = "".join(f"<th{mark}>{escape(head)}</th>" for head in heads)
-    body = "\n".join(f"<tr>{row}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>'

@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
+from .._results.shown import PANELS, axis_label, has_field, known_load, largest, readable, titled
 from .._results.summary import pulse_window
 from .choosing import gcv, lcurve, path_figure
 from .diagnosis import columns, filter_factors, modes, picard, resolution
-from .fields import field, has_field, spacetime, zones
+from .fields import field, spacetime, zones
 from .style import (
     BLUE,
     DENSE,
@@ -29,23 +30,17 @@ from .style import (
     NARROW,
     ORANGE,
     PALE,
-    PANELS,
     PURPLE,
     SKY,
-    axis_label,
     few_labels,
     finished,
-    known_load,
-    largest,
     legend_above,
     mark,
     new_figure,
     picture_format,
-    readable,
     rendered,
     text,
     tidy,
-    titled,
     unit,
 )
 from .style import unit as readable_unit

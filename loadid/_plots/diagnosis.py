@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from structures.errors import InputError
 
+from .._results.shown import places
 from .choosing import mark_style, marked
 from .style import (
     BLUE,
@@ -22,7 +23,6 @@ from .style import (
     SKY,
     few_labels,
     mark,
-    places,
     sized,
     text,
     tidy,

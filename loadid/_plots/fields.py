@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures.errors import InputError
 
 from .._guards.inversion import nodal_as_pressure
+from .._results.shown import has_field, known_load, known_numbers, places, readable, titled
 from .style import (
     BLUE,
     GREY,
@@ -21,15 +22,10 @@ from .style import (
     NARROW,
     ORANGE,
     SKY,
-    known_load,
-    known_numbers,
     mark,
     new_figure,
-    places,
-    readable,
     text,
     tidy,
-    titled,
     unit,
 )
 
@@ -60,14 +56,6 @@ class _Field:
     cells: NDArray[np.int64] | None
     note: str
     warned: bool
-
-
-def has_field(estimate: LoadEstimate) -> bool:
-    """Whether the loads are places of a field on a line or a surface."""
-    g = estimate.geometry
-    if g is None or g.get("kind") == "polynomials" or g.get("coordinates") is None or len(g["coordinates"]) < 2:
-        return False
-    return places(g) is not None
 
 
 def field(

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError
 
+from .._results.shown import PANELS, titled
 from ..sources._levels import time_weighted
 from ..sources._synthesis import row_of, unit_of
 from .style import (
@@ -23,7 +24,6 @@ from .style import (
     INK,
     ORANGE,
     PALE,
-    PANELS,
     PURPLE,
     SKY,
     few_labels,
@@ -33,7 +33,6 @@ from .style import (
     new_figure,
     text,
     tidy,
-    titled,
     unit,
 )
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from structures.errors import InputError, plain, reals
+from structures.errors import InputError
 from structures.files._storage import as_path, replace
 
 from .._results.summary import NOT_VERIFIED, allowed, overridden
@@ -29,7 +28,6 @@ Array = NDArray[Any]
 BLUE, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7"
 INK, GREY = "#222222", "#8a8a8a"
 PALE = "#9fc3dd"  # of a broad line below a thin one
-PANELS = 6
 NARROW = 4.0  # inches: the width of a phone
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 DPI = 150  # of bitmaps
@@ -79,63 +77,6 @@ def sized(figure: Figure | None, narrow: bool, height: float, wide: tuple[float,
     figure = figure or new_figure()
     figure.set_size_inches(*((NARROW, height) if narrow else wide))
     return figure
-
-
-def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray[Any] | None:
-    """A known load in the shape of the estimate."""
-    if truth is None:
-        return None
-    array = known_amplitudes(truth) if estimate.load.dtype.kind == "c" else known_numbers(truth)
-    array = array[:, None] if array.ndim == 1 and estimate.load.ndim == 2 else array
-    if array.shape != estimate.load.shape:
-        raise InputError("the known load does not fit", where="truth", found=array.shape, expected=estimate.load.shape)
-    return array
-
-
-def known_numbers(truth: ArrayLike) -> NDArray[np.float64]:
-    """A known load as finite numbers."""
-    array = reals(truth, where="truth", what="the known load is no real numbers")
-    if not np.all(np.isfinite(array)):
-        raise InputError("NaN or infinity in the known load", where="truth", expected="finite numbers")
-    return array
-
-
-def known_amplitudes(truth: ArrayLike) -> NDArray[np.complex128]:
-    """Known complex amplitudes as finite numbers."""
-    try:
-        array = np.asarray(plain(truth), complex)
-    except (TypeError, ValueError):
-        array = np.array([np.nan])
-    if not np.all(np.isfinite(array)):
-        raise InputError("no finite numbers in the known load", where="truth", expected="complex amplitudes")
-    return array
-
-
-def largest(estimate: LoadEstimate) -> list[int]:
-    """Loads to show, in their own order: all, or the largest few."""
-    size = np.abs(estimate.load).max(axis=0)
-    return sorted(int(j) for j in np.argsort(-size, kind="stable")[:PANELS])
-
-
-def readable(estimate: LoadEstimate, window: tuple[float, float] | None = None) -> tuple[float, str]:
-    """Factor and unit that make the axis, or a part of it, readable."""
-    axis = estimate.axis
-    assert axis is not None
-    first, last = window or (float(axis.values[0]), float(axis.values[-1]))
-    if axis.unit != "s" or last - first >= 1:
-        return 1.0, axis.unit
-    return (1e3, "ms") if last - first >= 1e-3 else (1e6, "µs")
-
-
-def axis_label(estimate: LoadEstimate) -> str:
-    """Name and unit of the first axis."""
-    assert estimate.axis is not None
-    return titled(estimate.axis.name, readable(estimate)[1])
-
-
-def titled(name: str, of: str) -> str:
-    """``time [ms]``, or the name alone where there is no unit."""
-    return f"{name} [{of}]" if of and of != "1" else name
 
 
 def tidy(ax: Axes) -> None:
@@ -229,29 +170,3 @@ def picture_format(path: str | os.PathLike[str]) -> str:
             hint="end the name with .png, .svg or .pdf",
         )  # fmt: skip
     return suffix
-
-
-def places(geometry: Mapping[str, Any] | None) -> tuple[NDArray[np.float64], tuple[str, ...]] | None:
-    """Places (points, 1 or 2) of loads along the axes in which they differ, and the names of these.
-
-    Axes of the structure where the loads lie along one or two of them, else distances along the line or in the plane
-    that fits them best. None where there is no geometry, or all three differ.
-    """
-    found = None if geometry is None else geometry.get("coordinates")
-    if found is None or len(found) < 2:
-        return None
-    x = np.asarray(found, float)
-    x = x[:, None] if x.ndim == 1 else x
-    span = np.ptp(x, axis=0)
-    used = np.flatnonzero(span > 1e-6 * span.max())
-    if len(used) in (1, 2):
-        plane = x[:, used]
-        if len(used) == 1 or np.linalg.matrix_rank(plane - plane.mean(axis=0), tol=1e-6 * span.max()) == 2:
-            return plane, tuple("xyz"[k] for k in used)
-    centred = x - x.mean(axis=0)
-    values, axes = np.linalg.svd(centred, full_matrices=False)[1:]
-    rank = int(np.sum(values > 1e-6 * values[0])) if values[0] > 0 else 0
-    if rank not in (1, 2):
-        return None
-    along = centred @ axes[:rank].T
-    return along - along.min(axis=0), ("along",) if rank == 1 else ("along", "across")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from functools import partial
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loadid import _page
+from loadid._page import Html, Section
 from loadid._results import report as parts
 from loadid._results.summary import plus_minus
 
@@ -67,9 +67,6 @@ def _vector(name: str, value: np.ndarray, std: np.ndarray, unit: str, remark: st
     return name, f"({parts}) {unit}", remark
 
 
-BITMAP = 10**6  # points: maps are bitmaps, a vector picture of them is many times larger
-
-
 def write_report(
     force: ForceMap,
     path: str | os.PathLike[str],
@@ -81,7 +78,7 @@ def write_report(
     compared: Iterable[tuple[str, ...]] = (),
 ) -> None:
     """Write the page, whole or not at all; the settings are those of `page`."""
-    parts.write_page(
+    _page.write_page(
         path, lambda: page(force, truth=truth, wrenches=wrenches, frame=frame, about=about, compared=compared)
     )
 
@@ -103,39 +100,50 @@ def page(
     one = force if force.single else force.frame(k)
     name = "" if force.single else f", {force.frame_name(k)}"
     sections = [
-        (f"Result{name}", _result(one) + _picture(force, one, truth, wrenches, frame)),
-        ("Against the truth", _compared(compared)),
-        ("Flags", parts.flag_list(force)),
-        ("How it came about", _about(force, about)),
-        ("Verification", parts.verification(force)),
-        ("Provenance", parts.provenance_table(force)),
+        Section(f"Result{name}", _picture(force, one, truth, wrenches, frame)),
+        Section("Against the truth", _compared(compared)),
+        Section("Cautions", parts.cautions(force)),
+        Section("How it came about", _about(force, about), folded=True),
+        Section("Flags", parts.flag_list(force), folded=True),
+        Section("Verification", parts.verification(force), folded=True),
+        Section("Provenance", parts.provenance_table(force), folded=True),
     ]
-    return parts.document("Contact force map", force, sections)
+    return _page.document("Contact force map", sections, about=parts.about(force), answer=_answer(force, one))
 
 
-def _result(one: ForceMap) -> str:
-    cards = "".join(
-        f"<li>{escape(name)}<b>{escape(value)}</b>{escape(remark)}</li>" for name, value, remark in numbers(one)
+def _answer(force: ForceMap, one: ForceMap) -> Html:
+    """The force with its grade, then torque, pressure and contact."""
+    (name, value, remark), *others = numbers(one)
+    return _page.joined(
+        parts.refused(force),
+        _page.part("answer", name, value, "± one standard deviation", force.grade.letter, str(force.grade)),
+        _page.part("quiet", remark),
+        _page.part("cards", others),
+        parts.checked(force),
     )
-    return f'<ul class="results">{cards}</ul><p class="quiet">± one standard deviation</p>'
 
 
 def _picture(
     force: ForceMap, one: ForceMap, truth: ArrayLike | None, wrenches: ArrayLike | None, frame: int | None
-) -> str:
+) -> Html:
+    from loadid._plots.style import drawn
+
     from .pictures import sequence_figure
 
     name, value, _ = numbers(one)[0]
-    draw = partial(sequence_figure, force, truth=truth, wrenches=wrenches, frame=frame)
-    return parts.html_image(draw, f"map of pressure and shear with its std: {name} {value}", BITMAP)
+    wide, narrow = (
+        drawn(sequence_figure(force, truth=truth, wrenches=wrenches, frame=frame, narrow=narrow), "png")
+        for narrow in (False, True)
+    )
+    return _page.image(wide, f"map of pressure and shear with its std: {name} {value}", narrow)
 
 
-def _compared(rows: Iterable[tuple[str, ...]]) -> str:
+def _compared(rows: Iterable[tuple[str, ...]]) -> Html | str:
     listed = list(rows)
-    return parts.html_table(listed, ("", "estimate", "truth")) if listed else ""
+    return _page.table(listed, ("", "estimate", "truth")) if listed else ""
 
 
-def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
+def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> Html:
     facts = force.facts
     rows = [*about]
     said = {name for name, _ in rows}
@@ -148,8 +156,8 @@ def _about(force: ForceMap, about: Iterable[tuple[str, str]]) -> str:
     ]
     rows += [(name, text) for name, text in own if text and name not in said]
     prior = force.provenance.get("prior")
-    said_prior = f"<p>What the data do not determine is filled by the prior: {escape(str(prior))}.</p>" if prior else ""
-    return parts.html_table(rows) + said_prior
+    filled = f"What the data do not determine is filled by the prior: {prior}." if prior else ""
+    return _page.joined(_page.table(rows), _page.paragraphs(filled))
 
 
 def _path(path: object) -> str:

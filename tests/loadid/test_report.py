@@ -1,14 +1,20 @@
-"""The report is one page that fetches nothing, hides nothing and runs nothing."""
+"""The report is one page that fetches nothing, hides nothing and runs nothing but its own script."""
 
 import base64
+import hashlib
+import json
 import re
-import xml.etree.ElementTree as ET
+import subprocess
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+from loadid import _page
+from loadid._page.chart import COLUMNS
 from loadid._results.report import fragment, page
+from loadid._results.summary import plus_minus
 from structures import Flag
 from structures._flags import Evidence
 from structures.errors import InputError
@@ -25,6 +31,10 @@ def small(**changes):
 @pytest.fixture(scope="module")
 def whole():
     return page(impact(allowed=["W407"]), truth=half_sine()[1])
+
+
+(PEAK,) = impact().peaks
+BAND = f"{plus_minus(PEAK.value, 1.959964 * PEAK.std)} N"
 
 
 class Page(HTMLParser):
@@ -55,6 +65,11 @@ class Page(HTMLParser):
     def values(self, name):
         return [value for _, key, value in self.attributes if key == name]
 
+    @property
+    def charts(self):
+        """What the script is given of every chart."""
+        return [json.loads(text) for text in self.values("data-chart")]
+
 
 def test_the_page_says_all_that_must_be_known(whole):
     read = Page(whole)
@@ -63,8 +78,28 @@ def test_the_page_says_all_that_must_be_known(whole):
                  "LID-W114 warning", "What to do: hang a known mass", "impulse 1.2", "robust_gcv", "sigma is not known",
                  "9 of 10 such problems", "nullity", "white noise", "numpy", "abab", "± 15 N"):  # fmt: skip
         assert word in read.text, word
-    assert read.tags.count("img") == 3
-    assert all(read.values("alt"))
+    titles = ["11+Z", "1+Z", "2+Z", "3+Z", "L-curve", "residual over lambda", "GCV function"]
+    assert [chart["title"] for chart in read.charts] == titles
+    plots = [tag for tag, key, value in read.attributes if (key, value) == ("class", "plot")]
+    assert plots == ["svg"] * len(titles)
+    assert len([words for words in read.values("aria-label") if words]) == len(titles) + 1  # and one overview
+
+
+def test_the_answer_comes_first_then_the_picture_then_cautions_and_the_rest_is_folded(whole):
+    marks = ('<div class="answer">', f">{BAND}<", "95 % band", "<span>grade ", "data-chart", "<h2>Cautions</h2>",
+             "<details", "<h2>How lambda was chosen</h2>", "<h2>Provenance</h2>")  # fmt: skip
+    order = [whole.index(mark) for mark in marks]
+    assert order == sorted(order)
+    folded = re.findall(r"<summary><h2>(.*?)</h2></summary>", whole)
+    assert {"Flags", "Verification", "Provenance", "How lambda was chosen"} <= set(folded)
+    assert not {"Result", "Cautions"} & set(folded)
+
+
+def test_of_many_cautions_the_three_that_matter_most_are_shown():
+    flags = [Flag("W206", Evidence("clipped", k, 0), f"finding {k}", "look", effect=float(k)) for k in range(5)]
+    text = page(small(flags=flags)).partition("<details")[0]
+    assert [int(k) for k in re.findall(r"finding (\d)", text)] == [4, 3, 2]
+    assert "2 more remarks below" in text
 
 
 def test_the_certificate_replaces_the_warning():
@@ -77,16 +112,29 @@ def test_the_certificate_replaces_the_warning():
 def test_nothing_is_fetched(whole):
     read = Page(whole)
     assert all(source.startswith("data:image/") for source in [*read.values("src"), *read.values("srcset")])
-    assert not set(read.tags) & {"script", "link", "iframe", "object", "embed", "base", "form"}
+    assert not set(read.tags) & {"link", "iframe", "object", "embed", "base", "form"}
     assert not read.values("href")
     style = next(t for t in read.texts if "color-scheme" in t)
     assert "url(" not in style
     assert "@import" not in style
     assert "width=device-width" in whole
-    for source in read.values("src"):
-        for element in ET.fromstring(base64.b64decode(source.split(",")[1])).iter():
-            links = [v for k, v in element.attrib.items() if k.endswith("href")]
-            assert all(link.startswith("#") for link in links)
+
+
+def test_the_policy_lets_only_its_own_script_and_style_run(whole):
+    read = Page(whole)
+    policy = next(v for v in read.values("content") if "default-src" in v)
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    for tag, rule in (("script", "script-src"), ("style", "style-src")):
+        assert read.tags.count(tag) == 1
+        inside = re.search(rf"<{tag}>(.*?)</{tag}>", whole, re.S).group(1)
+        digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
+        assert f"{rule} 'sha256-{digest}'" in policy
+    assert not [key for _, key, _ in read.attributes if key.startswith("on") or key == "style"]  # the policy stops them
+    script = _page.text(_page.CHARTS)
+    assert not re.search(
+        r"fetch\(|XMLHttpRequest|WebSocket|import\(|innerHTML|insertAdjacent|document\.write|eval\(", script
+    )
 
 
 EVIL = '"><script>alert(1)</script><img src=x onerror=alert(1)> $\\'
@@ -101,18 +149,83 @@ def test_every_text_is_escaped(make):
         facts={EVIL: EVIL},
         certificate=type(CERTIFICATE)((1.0,), (1.0,), (0.1,), None, (EVIL,), EVIL, EVIL),
     )  # fmt: skip
-    read = Page(make(e))
-    assert "script" not in read.tags
+    text = make(e)
+    read = Page(text)
+    own = f"<script>{_page.text(_page.CHARTS)}</script>"
+    assert "script" not in Page(text.replace(own, "")).tags
+    assert text.count(own) == (make is page)
     assert not read.values("onerror")
+    assert not {"img", "source"} & set(read.tags)
     assert "alert(1)" in read.text  # shown as text
+    assert all(chart["title"] == EVIL for chart in read.charts)
+    assert len(read.charts) == 2 * (make is page)
 
 
-def test_dense_records_are_bitmaps_and_small_ones_vectors(whole):
-    kinds = {s[5:].split(";")[0] for s in Page(whole).values("src")}
-    assert kinds == {"image/svg+xml"}
-    source = page(small(samples=6000, posterior=None))
-    assert "image/png" in source
-    assert len(source) < 2e6
+@pytest.mark.parametrize("make", [page, fragment])
+def test_nothing_that_a_terminal_obeys_gets_through(make):
+    """Escape sequences, bells, backspaces and marks that turn the direction of text, in every name."""
+    bad = "a\x1b[31mb\x07c\x08d\u202ee\x9b0m\x00f\x7f"
+    e = small(
+        labels=[bad], units=[bad], sensors=[bad] * 3, flags=[Flag("W114", Evidence(bad, bad, bad), bad, bad)],
+        provenance={bad: {bad: [bad]}, "family": bad, "prior": bad, "notes": [bad]}, facts={bad: bad},
+        certificate=type(CERTIFICATE)((1.0,), (1.0,), (0.1,), None, (bad,), bad, bad),
+    )  # fmt: skip
+    text = make(e)
+    assert {c for c in text if not c.isprintable()} <= {"\n"}
+    assert "[31mb" in text
+
+
+def test_a_long_record_stays_small_and_its_extremes_are_drawn():
+    """A spike of one sample among half a million is in the picture, at its height."""
+    rng = np.random.default_rng(0)
+    e = small(samples=500_000, posterior=None)
+    load = 0.01 * rng.standard_normal((500_000, 1))
+    load[123_456] = -700.0
+    load[400_001] = 900.0
+    text = page(small(samples=500_000, posterior=None, load=load, std=np.zeros_like(load)))
+    assert len(text) < 1.5e6
+    assert len(page(e)) < 1.5e6
+    path = re.search(r'<path class="curve estimate" d="([^"]*)"', text.partition('class="plot"')[2]).group(1)
+    heights = np.array(re.findall(r"-?\d+", path.replace("h0", "")), float)[1::2]
+    assert len(heights) <= 4 * COLUMNS
+    scale = 1000 / (1600 * 1.1)  # a margin of 5 % on each side
+    np.testing.assert_allclose([heights.min(), heights.max()], [80 * scale, 1680 * scale], atol=1)
+    (chart,) = Page(text).charts
+    (curve,) = chart["curves"]
+    y = np.frombuffer(base64.b64decode(curve["y"]), "<f4")
+    assert (y.min(), y.max()) == (-700, 900)
+    assert chart["every"] == 100
+
+
+def test_a_hit_is_shown_enlarged_above_its_whole_record(whole):
+    chart = Page(whole).charts[0]
+    first, last = chart["window"]
+    assert first < 11 < last  # ms
+    assert last - first < 0.5 * (chart["whole"][1] - chart["whole"][0])
+    assert whole.count('class="strip"') == 1
+    assert 'class="strip"' not in page(small(load=np.ones((400, 1))))
+
+
+def test_a_gap_is_no_line():
+    """Lines that are not trusted leave their estimate out."""
+    from loadid._page.chart import Chart, Curve, picture
+
+    y = np.where(np.arange(100) // 10 == 4, np.nan, 1.0)
+    (line,) = picture(Chart(title="", x_name="", y_name="", x=np.arange(100.0), curves=[Curve("", y)], said=""))[
+        "paths"
+    ]
+    assert line[1].count("M") == 2
+
+
+def test_no_matplotlib_is_loaded_for_lines():
+    code = """
+import sys
+from tests.loadid.made import impact, static
+impact()._repr_html_(), static()._repr_html_()
+assert not {"matplotlib", "scipy"} & set(sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_static_loads_and_missing_parts_make_a_page():
@@ -140,7 +253,19 @@ def test_notebooks_get_a_fragment():
     assert "<html" not in text
     read = Page(text)
     assert "forward model not verified" in read.text
-    assert read.tags.count("img") == 1
+    assert text.count('class="plot"') == 1
+    assert not read.charts  # numbers for a script that is not there
+    assert "script" not in read.tags
+    assert BAND in read.text
+
+
+def test_the_style_touches_nothing_but_its_own():
+    """In a notebook it stands beside the styles of others: every rule begins with the class of the page."""
+    style = re.sub(r"/\*.*?\*/", "", _page.text("page.css"), flags=re.S)
+    style = re.sub(r"@media[^{]*", "", style)
+    selectors = [s.strip() for rule in re.findall(r"([^{}]+)\{", style) for s in rule.split(",") if s.strip()]
+    assert len(selectors) > 100
+    assert all(s.startswith(".loadid") for s in selectors), [s for s in selectors if not s.startswith(".loadid")]
 
 
 def test_numbers_that_are_not_finite_do_not_break_the_page():
@@ -159,13 +284,14 @@ def test_provenance_keeps_paths_and_says_what_defaults_are():
         assert word in text, word
 
 
-def test_a_phone_gets_the_panels_below_each_other(whole):
-    read = Page(whole)
-    assert len(read.values("srcset")) == 3
-    assert set(read.values("media")) == {"(max-width: 40rem)"}
-    wide, narrow = (ET.fromstring(base64.b64decode(read.values(k)[0].split(",")[1])) for k in ("src", "srcset"))
-    for picture, width in ((wide, 720), (narrow, 288)):
-        assert float(picture.get("width").removesuffix("pt")) == width
+def test_charts_have_the_width_of_their_page(whole):
+    """Places are shares of the width, so that letters keep their size on a phone and on paper."""
+    texts = re.findall(r"<text x=\"([^\"]*)\" (?:dx=\"-?\d+\" )?y=\"([^\"]*)\"", whole)
+    assert len(texts) > 50
+    assert all(place in ("0", "100%") or place.endswith("%") for pair in texts for place in pair)
+    for tag in re.findall(r"<svg class=\"(?:plot|strip)\"[^>]*>", whole):
+        assert "width=" not in tag
+        assert "viewBox" not in tag
 
 
 def test_a_sentence_says_what_the_data_cannot_tell():
