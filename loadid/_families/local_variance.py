@@ -125,6 +125,8 @@ def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
 
 def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
+    if settings.support is not None:
+        return "a window of the load was given"
     if not settings.automatic:
         return "another prior, a lambda or a rule was asked for"
     if len(load) > longest:
