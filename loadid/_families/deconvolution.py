@@ -169,7 +169,7 @@ class Deconvolution:
         local = local_variance.learned(posed, self.settings, found.load, states)
         found = local_variance.replaced(found, local, choice, data.dt)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
-        if prior and isinstance(local, local_variance.Learned):
+        if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
         elif self.settings.unasked and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)

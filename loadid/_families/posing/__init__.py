@@ -66,7 +66,7 @@ def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
         beyond_lines = settings.signed is not False or (data.missing.any() and not settings.truncated)
         if settings.lam.path in ("toeplitz", "windows") or (settings.lam.path == "auto" and beyond_lines):
             return convolved_measured(model, data, settings)
-        settings.refuse_special("line by line", local=False)
+        settings.refuse_special("line by line", local=settings.penalty.variance == "smooth")
         return measured_lines(model, data, settings)
     hold, samples = settings.hold or model.default_hold, len(data.values)
     kind, system = _kind(model, data, settings)

@@ -65,10 +65,10 @@ class PosingSettings:
                 found="'tsvd'" if self.truncated else "signs" if self.signed is not False else "a matrix or None",
                 expected="penalty=Penalty('first_difference', size=...) or another name, Tikhonov, no constraints",
             )  # fmt: skip
-        if self.penalty.variance == "local" and not self._plain:
+        if self.local and not self._plain:
             self._refuse_local()
-        if self.penalty.variance == "local" and self.support is not None:
-            refuse("variance='local'", "variance='auto' or 'constant': the window says when the load acts")
+        if self.local and self.support is not None:
+            refuse(f"variance={self.penalty.variance!r}", "variance='auto' or 'constant': the window says when the load acts")
         if isinstance(self.initial, str):
             one_of("initial", self.initial, ("rest", "unknown"))
         else:
@@ -88,9 +88,10 @@ class PosingSettings:
         return None if self.support is None else acting(self.support, samples, dt)
 
     def _refuse_local(self) -> None:
-        raise InputError("a variance that changes with time stands for the penalty", where="variance",
+        raise InputError("a variance that is learned stands for the penalty", where="variance",
                          found="another penalty, truncation or signs beside it", hint="leave one of them out",
-                         expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
+                         expected=f"Penalty('identity', variance={self.penalty.variance!r}), Tikhonov, no constraints",
+                         )  # fmt: skip
 
     @property
     def _plain(self) -> bool:
@@ -140,8 +141,8 @@ class PosingSettings:
 
     @property
     def local(self) -> bool:
-        """A variance of the load that changes with time was asked for."""
-        return self.penalty.variance == "local"
+        """Variances of the load that are learned from the record were asked for."""
+        return self.penalty.variance in ("local", "smooth")
 
     @property
     def _special(self) -> bool:
@@ -174,7 +175,7 @@ class PosingSettings:
         special = self.special if local else self._special
         if special or (self.penalty.size is not None and path != "dense"):
             name = "leak" if self.penalty.leak is not None else "from_zero" if self.penalty.from_zero else "size"
-            name = "variance" if self.penalty.variance == "local" else name if self.resting else "initial"
+            name = "variance" if self.local else name if self.resting else "initial"
             raise InputError(
                 f"the {path} path does not know this setting", where=name,
                 found=repr(self.penalty if self.resting else self.initial)[:60],
