@@ -58,6 +58,8 @@ class Facts(Mapping[str, Any]):
         Condition number of the visible part.
     frames : int
         Static readings in one estimate.
+    chosen : str
+        Which family and prior were taken where the data decided, and why; one line.
     missing, frf_errors, band, path, solver : str
         In words: samples that are not there, what errors of the FRF add to the noise, what the std holds, how it was
         solved, and by what where loads only push.
@@ -114,6 +116,7 @@ class Facts(Mapping[str, Any]):
     kappa: float | None = fact("condition number of the visible part")
     frames: int | None = fact()
     missing: str | None = fact()
+    chosen: str | None = fact("family and prior, and why", shown=False)
     edf: float | None = fact("effective degrees of freedom")
     residual_to_noise: float | None = fact("residual / noise")
     resolution: float | None = fact("resolution width", "that of resolution_unit")
