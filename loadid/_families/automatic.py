@@ -4,8 +4,8 @@ What is known of model and data decides the family: readings without time are st
 frequency lines, records are histories. Within it one question is asked, by a criterion that knows no truth:
 
 - Histories that act throughout: is the load smooth over some samples? The evidence says over how many; taken where it
-  states at most `SURE` and `SMALLER` of the error of the plain prior, and the sensors tell slow loads apart. Impacts are asked
-  for by `Deconvolution` itself.
+  states an error below `SURE` and below `SMALLER` of that of the plain prior, and the sensors tell slow loads apart.
+  Impacts are asked for by `Deconvolution` itself.
 - Static readings of loads with places: is the field smooth? Each sensor is predicted from the others; taken where the
   errors of these predictions are below `FORETOLD` of those of the plain prior.
 
@@ -174,8 +174,12 @@ class AutomaticInversion:
         plain = Deconvolution(self.model, **told, progress=self._part(0.0, 0.5)).estimate(found, dt)
         variance = plain.facts.get("variance")
         if variance == "local":
-            return Chosen(plain, "Deconvolution", "the record asks for a load whose variance changes with time: impacts")
-        if variance != "constant" or self._asked or not self._slow(found, dt, len(plain.load)):
+            return Chosen(
+                plain, "Deconvolution", "the record asks for a load whose variance changes with time: impacts"
+            )
+        if self._asked:
+            return Chosen(plain, "Deconvolution", "the plain prior, with which windows and constraints of a load go")
+        if variance != "constant" or not self._slow(found, dt, len(plain.load)):
             return Chosen(plain, "Deconvolution", "the plain prior: nothing else is to be told from this record")
         try:
             smooth = Deconvolution(
@@ -188,8 +192,8 @@ class AutomaticInversion:
         if other < min(SURE, SMALLER * own):
             return Chosen(smooth, "Deconvolution(penalty=Penalty(variance='smooth'))", f"the load acts throughout, and "
                           f"{memory} states an error of {other:.1%}, the plain prior {own:.1%}")  # fmt: skip
-        return Chosen(plain, "Deconvolution", f"the plain prior: it states an error of {own:.1%}, {memory} {other:.1%}, "
-                      "which is not clearly better")  # fmt: skip
+        return Chosen(plain, "Deconvolution", f"the plain prior: it states an error of {own:.1%}, {memory} "
+                      f"{other:.1%}, which is not clearly better")  # fmt: skip
 
     # -- inside -----------------------------------------------------------------------------------------------------
     @property
@@ -241,7 +245,9 @@ def kind_of(model: Model, found: Any, dt: float | None = None) -> str:
     InputError
         Data that no family takes with this model.
     """
-    if isinstance(found, Spectra | CrossSpectra) or (isinstance(found, list) and found and isinstance(found[0], Record)):
+    if isinstance(found, Spectra | CrossSpectra) or (
+        isinstance(found, list) and found and isinstance(found[0], Record)
+    ):
         return "lines"
     timed = isinstance(found, Record) and len(found.values) > 1
     if model.gives("impulse_response") and (timed or dt is not None):

@@ -276,7 +276,7 @@ def _smooth(found: SolvedLoad, learned: Smooth, choice: Choice, dt: float) -> So
 
 
 def _seen(prior: StationaryPrior | LocalLinesPrior, load: Array, dt: float) -> tuple[float, float]:
-    """Width (s) at which a single sample is shown where the load is largest, and the share of its height that is lost."""
+    """Width (s) at which a single sample is shown where the load is largest, and the share of it that is lost."""
     at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
     one = np.zeros_like(load)
     one[at] = 1.0

@@ -1,4 +1,4 @@
-"""Loads that act on some of their unknowns only: the path of the columns that are left, and a posterior that knows it."""
+"""Loads that act on some of their unknowns only: the path of the columns that are left, and its posterior."""
 
 from __future__ import annotations
 

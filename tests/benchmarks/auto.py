@@ -4,9 +4,9 @@
 
 The problems are those of `python -m tests.campaigns`, whose truths have a finer mesh, twice the modes and a finer step:
 impacts with and without errors of the model, loads that act throughout (service), static fields, and frequency lines.
-Hindsight: the smallest error of the plain prior, a smooth load, first and second differences, B-splines, and loads that
-only push. Each line: problems; median error of plain, auto and hindsight; error of auto over that of plain: median, worst
-decile, largest; how often another prior was taken; CPU of auto over plain, median and largest.
+Hindsight: the smallest error of the plain prior, a smooth load, first and second differences, B-splines, and loads
+that only push. Each line: problems; median error of plain, auto and hindsight; error of auto over plain: median,
+worst decile, largest; how often another prior was taken; CPU of auto over plain, median and largest.
 """
 
 from __future__ import annotations

@@ -237,7 +237,9 @@ def dense(h: Array, values: Array, noise: noises.NoiseLevel, data: Data, setting
     full = None
     if len(data.rows) < h.shape[1]:
         scale = np.sqrt(np.mean(h**2, axis=(0, 2)))
-        full = identifiability.layout(np.linalg.svd(_columns(h / scale[:, None], mask).reshape(-1, n), compute_uv=False), n)
+        full = identifiability.layout(
+            np.linalg.svd(_columns(h / scale[:, None], mask).reshape(-1, n), compute_uv=False), n
+        )
 
     def predict(g: Array) -> Array:
         return (T.reshape(-1, n) @ (g if mask is None else g[mask]).reshape(-1)).reshape(values.shape)

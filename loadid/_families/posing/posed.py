@@ -68,7 +68,10 @@ class PosingSettings:
         if self.local and not self._plain:
             self._refuse_local()
         if self.local and self.support is not None:
-            refuse(f"variance={self.penalty.variance!r}", "variance='auto' or 'constant': the window says when the load acts")
+            refuse(
+                f"variance={self.penalty.variance!r}",
+                "variance='auto' or 'constant': the window says when",
+            )
         if isinstance(self.initial, str):
             one_of("initial", self.initial, ("rest", "unknown"))
         else:

@@ -41,7 +41,7 @@ def windows(given: Any) -> Windows | None:
     pairs = pairs[None] if pairs.ndim == 1 else pairs
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not len(pairs) or not np.all(np.isfinite(pairs)):
         raise InputError("no window of the load", where="support", found=shown(given),
-                         expected="(begin, end) in s from the first sample of the record, or several of them")  # fmt: skip
+                         expected="(begin, end) in s from the first sample, or several of them")  # fmt: skip
     if np.any(pairs[:, 0] >= pairs[:, 1]):
         raise InputError("a window of the load ends before it begins", where="support", found=shown(given),
                          expected="(begin, end) in s, begin < end")  # fmt: skip
