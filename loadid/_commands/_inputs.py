@@ -44,7 +44,8 @@ def constraints(model: Model, settings: Mapping[str, Any]) -> list[Any]:
     InputError
         A load or a resultant that the model does not have.
     """
-    labels, found = [c.label for c in model.loads], []
+    labels = [c.label for c in model.loads]
+    found: list[Any] = []
     push = settings.get("nonnegative")
     if push:
         named = isinstance(push, list | tuple)
@@ -52,8 +53,8 @@ def constraints(model: Model, settings: Mapping[str, Any]) -> list[Any]:
     bounds = settings.get("bounds")
     if isinstance(bounds, Mapping):
         at = [_index(name, labels, "bounds") for name in bounds]
-        low, high = zip(*(_pair(bounds[name]) for name in bounds), strict=True)
-        found.append(Bounds(np.array(low), np.array(high), loads=at))
+        ends = np.array([_pair(bounds[name]) for name in bounds])
+        found.append(Bounds(ends[:, 0], ends[:, 1], loads=at))
     elif bounds is not None:
         low, high = _pair(bounds)
         found.append(Bounds(low, high))
@@ -225,7 +226,8 @@ def candidates(model: Model, grid: Sequence[int]) -> Model:
     nodes = [structure.dofs[i].node for i in structure.free if structure.dofs[i].direction == abs(direction)]
     there = np.asarray(outline, float)[[numbers.index(node) for node in nodes]]
     spread = np.flatnonzero(np.ptp(there, axis=0) > 0)
-    counts = [int(n) for n in (grid if isinstance(grid, list | tuple) else [grid])]
+    listed: list[Any] = list(grid) if isinstance(grid, list | tuple) else [grid]
+    counts = [int(n) for n in listed]
     if len(counts) != len(spread) or int(np.prod(counts)) < 2:
         raise InputError("the grid does not fit the structure", where="grid", found="x".join(map(str, counts)),
                          expected=f"{len(spread)} numbers of parts, two places or more")  # fmt: skip
@@ -237,9 +239,16 @@ def candidates(model: Model, grid: Sequence[int]) -> Model:
 
 
 def held_out(estimate: LoadEstimate, model: Model, record: Any, labels: Sequence[str]) -> LoadEstimate:
-    """The estimate with the prediction error of sensors that were kept out, relative to what they measured."""
+    """The estimate with the prediction errors of sensors that were kept out among its facts."""
     from .._results.facts import Facts
 
+    errors = predicted(estimate, model, record, labels)
+    told = tuple(f"{label} {error:.2%}" for label, error in errors.items())
+    return replace(estimate, facts=Facts.of({**estimate.facts, "held_out": told}))
+
+
+def predicted(estimate: LoadEstimate, model: Model, record: Any, labels: Sequence[str]) -> dict[str, float]:
+    """Prediction error of sensors that were kept out, relative to what they measured."""
     rows = [[c.label for c in model.sensors].index(label) for label in labels]
     if isinstance(record, Mapping):
         measured = np.array([[record[label] for label in labels]], float)
@@ -256,8 +265,7 @@ def held_out(estimate: LoadEstimate, model: Model, record: Any, labels: Sequence
     rest = np.where(np.isnan(measured), 0.0, measured - made)
     size = np.sqrt(np.nansum(measured**2, axis=0))
     errors = np.linalg.norm(rest, axis=0) / np.maximum(size, np.finfo(float).tiny)
-    told = tuple(f"{label} {error:.2%}" for label, error in zip(labels, errors, strict=True))
-    return replace(estimate, facts=Facts.of({**estimate.facts, "held_out": told}))
+    return dict(zip(labels, errors.tolist(), strict=True))
 
 
 def _histories(estimate: LoadEstimate) -> bool:

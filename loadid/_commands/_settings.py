@@ -277,7 +277,7 @@ def add_settings(parser: ArgumentParser) -> None:
             group.add_argument(option, choices=one.choices, help=one.help)
         else:
             action = "append" if one.several else "store"
-            group.add_argument(option, action=action, type=one.parse, metavar=one.metavar, help=one.help)
+            group.add_argument(option, action=action, type=one.parse or str, metavar=one.metavar, help=one.help)
 
 
 def given(values: Mapping[str, Any]) -> dict[str, Any]:

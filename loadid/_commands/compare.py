@@ -25,7 +25,7 @@ from . import (
     settings,
     table,
 )
-from ._inputs import held_out, noise
+from ._inputs import noise, predicted
 from ._settings import level
 from .identify import responses_of
 
@@ -276,10 +276,9 @@ def _predicted(
     rest = [s.label for s in model.sensors if s.label not in kept]
     try:
         e = identify(record, model, family=family, sensors=rest, noise=level, **own)
-        told = held_out(e, model, record, kept).facts.held_out
+        return max(predicted(e, model, record, kept).values())
     except (InputError, NotIdentifiable):
         return None
-    return None if not told else max(float(text.rsplit(" ", 1)[1].rstrip("%")) / 100 for text in told)
 
 
 def _criteria(model: Model, record: Record, level: Any, labels: list[str]) -> dict[str, float]:

@@ -100,7 +100,7 @@ def identify(
     own = load_model(model) if isinstance(model, str | Path) else model
     settings = {name: value for name, value in options.items() if value is not None}
     labels = [s.label for s in own.sensors]
-    found = log
+    found: Any = log
     if isinstance(log, str | Path):
         static = family == "static" or (family == "auto" and own.gives("static"))
         table = sensor_table(log, labels) if static and record is None and not reading else None
@@ -391,7 +391,10 @@ def _run(args: Namespace) -> int:
     table = None
     if family in ("static", "auto") and model.gives("static") and not (job.get("record") or job.get("reading")):
         table = sensor_table(job["log"], labels)
-    log = _read(job["log"], job.get("record"), job.get("reading")) if table is None else table
+    log: Any = _read(job["log"], job.get("record"), job.get("reading")) if table is None else table
+    if table is not None and job.get("truth") is not None:
+        raise InputError("a table of readings holds no measured load", where="--truth", found=job["truth"],
+                         expected="a log with a channel of the load", hint="leave --truth out")  # fmt: skip
     truth = None if job.get("truth") is None else known_load(log, model, job["truth"])
     options = {name: value for name, value in job.items() if name in OPTIONS}
     job["family"] = family_of(family, options, model, log)

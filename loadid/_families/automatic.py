@@ -111,8 +111,8 @@ class AutomaticInversion:
         progress: Callable[[float, str], None] | None = None,
     ) -> None:
         self.model = model if isinstance(model, Model) else MatrixModel.of(model)
-        self.histories = {"support": support, "constraints": constraints, "hold": hold}
-        self.lines = {"signal": signal, "band": band}
+        self.histories: dict[str, Any] = {"support": support, "constraints": constraints, "hold": hold}
+        self.lines: dict[str, Any] = {"signal": signal, "band": band}
         self.common: dict[str, Any] = {"noise": noise, "sensors": sensors, "allow": allow}
         self._progress = Progress(progress)
 
@@ -214,7 +214,8 @@ class AutomaticInversion:
             static = np.asarray(model.static()[data.rows], float)
         except (InputError, NotIdentifiable):
             return False
-        h = model.impulse_response(data.dt, len(data.values), self.histories["hold"] or model.default_hold)
+        hold = str(self.histories["hold"] or model.default_hold)
+        h = model.impulse_response(data.dt, len(data.values), hold)
         whole = np.maximum(np.sum(np.abs(h[:, data.rows]), axis=0), np.finfo(float).tiny)
         if not np.all(np.max(np.abs(static) / whole, axis=0) >= UNSEEN):
             return False

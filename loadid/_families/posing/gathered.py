@@ -271,7 +271,8 @@ def _of_banded(data: Data, model: Model, s: LineSettings) -> LineData:
                          expected=f"{FEWEST} lines or more")  # fmt: skip
     padded = _length(model, np.asarray(own, float), data)
     f = np.asarray(np.fft.rfftfreq(padded, data.dt), float)
-    step, low, high = f[1], *(own[[0, -1]] if s.band is None else _band(s.band))
+    step = float(f[1])
+    low, high = (float(own[0]), float(own[-1])) if s.band is None else _band(s.band)
     slack = 1e-6 * step
     at = np.flatnonzero((f >= max(low, own[0]) - slack) & (f <= min(high, own[-1]) + slack))
     if len(at) < FEWEST:

@@ -117,7 +117,7 @@ def penalty(L: str | ArrayLike | None, mask: Mask, loads: int) -> Array | None:
         for j in range(order + 1):
             if (row := place.get(int(k) + j)) is not None:
                 found[row, i] = (-1) ** j * comb(order, j)
-    return np.kron(found, np.eye(loads))
+    return np.asarray(np.kron(found, np.eye(loads)), float)
 
 
 def gated(record: WhitenedRecord, mask: Mask) -> WhitenedRecord:
