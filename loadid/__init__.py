@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "Absolute": "loadid.settings",
     "Ambient": "loadid._inverse.gaussian.augment",
+    "AutomaticInversion": "loadid._families.automatic",
     "Deconvolution": "loadid._families.deconvolution",
     "FieldDeconvolution": "loadid._families.field",
     "FrequencyInversion": "loadid._families.frequency",

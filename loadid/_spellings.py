@@ -72,8 +72,24 @@ class Arguments:
         }
         return {old: home for old, home in moved.items() if old not in self.defaults}
 
-    def folded(self, given: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    @property
+    def later(self) -> dict[str, tuple[str, str]]:
+        """The same of fields that release 0.1 had not: commands and jobs write them one by one, Python does not."""
+        return {f: (name, f) for name, (_, known) in self.kinds.items() for f in known if f in LATER}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every setting by its single name, as commands and jobs write it."""
+        return (*self.defaults, *self.former, *self.later)
+
+    def folded(self, given: Mapping[str, Any], *, single: bool = False) -> tuple[dict[str, Any], list[str]]:
         """The arguments with the former ones put where they belong, and those that were moved in their new writing.
+
+        Parameters
+        ----------
+        given : mapping
+        single : bool
+            Fields that release 0.1 had not may stand alone too.
 
         Raises
         ------
@@ -82,7 +98,7 @@ class Arguments:
         TypeError
             A name that is none.
         """
-        taken, former = dict(given), self.former
+        taken, former = dict(given), self.former | (self.later if single else {})
         parts: dict[str, dict[str, Any]] = {}
         codes: list[str] = []
         for old in [name for name in given if name not in self.defaults]:
@@ -192,4 +208,4 @@ def folded(family: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, An
         A name that is none.
     """
     names = [one.__name__ for one in inspect.getmro(family)] if inspect.isclass(family) else [family.__name__]
-    return next(ARGUMENTS[name] for name in names if name in ARGUMENTS).folded(given)[0]
+    return next(ARGUMENTS[name] for name in names if name in ARGUMENTS).folded(given, single=True)[0]

@@ -39,7 +39,7 @@ __all__ = [
     "Sparsity",
 ]
 
-VARIANCES = ("constant", "local", "auto")
+VARIANCES = ("constant", "local", "smooth", "auto")
 METHODS = ("tikhonov", "tsvd")
 PATHS = ("auto", "dense", "statespace", "toeplitz", "windows", "fft")
 OVER = ("neighbours", "line", "band")
@@ -317,10 +317,11 @@ class Penalty(Setting):
         not see a constant. State-space path only.
     from_zero : bool
         The load is zero before the record, and a difference penalty counts its first step. State-space path only.
-    variance : {"auto", "constant", "local"}
-        Of the load over the record, for `Deconvolution` with the identity: whichever of the two the data ask for, where
-        the model has states or measured FRFs and no lambda or rule is stated; the same at every sample, as a penalty
-        has it; or learned from the data at every sample, for impacts.
+    variance : {"auto", "constant", "local", "smooth"}
+        Of the load over the record, for `Deconvolution` with the identity: constant or local, whichever the data ask
+        for, where the model has states or measured FRFs and no lambda or rule is stated; the same at every sample, as a
+        penalty has it; learned from the data at every sample, for impacts; or the same at every sample of a load that
+        is smooth over as many samples as the data ask for (up to 30), for loads that act throughout.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""``loadid identify``: the load that a log tells of."""
+"""``loadid identify``: the load that a log tells of, by any family, as options or a job file ask for it."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,30 +13,27 @@ from structures.errors import InputError
 from structures.files import _storage as storage
 
 from .._results.summary import against, comparison, summary
-from ..constraints import NonNegative
 from . import (
-    DICTIONARIES,
     NONE,
-    STARTS,
     Bar,
     Command,
+    UsageError,
     add_details,
     add_log_options,
-    band,
     channels,
-    choice,
-    count,
     emit,
-    leak,
     load_model,
-    names,
     one_record,
-    penalty,
-    positive,
     require_outputs,
     resolved,
     settings,
 )
+from . import (
+    _inputs as inputs,
+)
+from ._inputs import candidates, sensor_table
+from ._settings import CONSTRAINTS, FAMILIES, OPTIONS, add_settings, known, load_family, require_known
+from ._settings import given as given_settings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,68 +42,7 @@ if TYPE_CHECKING:
 
     from .._record import Record
     from .._results.estimate import LoadEstimate
-
-
-FAMILIES = {
-    "deconvolution": ("loadid._families.deconvolution", "Deconvolution"),
-    "frequency": ("loadid._families.frequency", "FrequencyInversion"),
-    "sparse": ("loadid._families.sparse", "SparseDeconvolution"),
-}
-
-
-def identify(
-    log: str | Path | Record,
-    model: str | Path | Model,
-    *,
-    family: str = "deconvolution",
-    responses: Sequence[str] | None = None,
-    record: str | None = None,
-    reading: dict[str, Any] | None = None,
-    **options: Any,
-) -> LoadEstimate:
-    """Load from a log and a model, each given as a file or as an object.
-
-    Parameters
-    ----------
-    family : str
-        ``"deconvolution"``, ``"frequency"`` or ``"sparse"``.
-    responses : sequence of str, optional
-        Channels of the log in the order of the sensors of the model; default those of the same names.
-    record : str, optional
-        Record of a log that holds several.
-    reading : dict, optional
-        Keyword arguments of `loadid._readers.read`.
-    **options
-        Settings of the family; those that are None are left to it, the penalty ``"none"`` is plain least squares, and
-        ``nonnegative=True`` asks every family for loads that only push.
-
-    Returns
-    -------
-    LoadEstimate
-        The notes of the record stand in its provenance.
-
-    Raises
-    ------
-    InputError, NotIdentifiable
-        From the reader, the model and the family.
-    """
-    from dataclasses import replace
-    from importlib import import_module
-
-    if family not in FAMILIES:
-        raise InputError("no such family", where="family", found=family, expected=" or ".join(FAMILIES))
-    known = load_model(model) if isinstance(model, str | Path) else model
-    found = _read(log, record, reading) if isinstance(log, str | Path) else log
-    module, name = FAMILIES[family]
-    chosen = getattr(import_module(module), name)
-    given = _given(options, chosen)
-    try:
-        estimate: LoadEstimate = chosen(known, **given).estimate(responses_of(found, known, responses))
-    except InputError as error:
-        raise _with_contradiction(error, found) from error
-    return (
-        replace(estimate, provenance={**estimate.provenance, "notes": list(found.notes)}) if found.notes else estimate
-    )
+    from .._results.location import LocationResult
 
 
 JOB = (
@@ -115,12 +51,148 @@ JOB = (
 )  # fmt: skip
 
 
+def identify(
+    log: str | Path | Record | Any,
+    model: str | Path | Model,
+    *,
+    family: str = "auto",
+    responses: Sequence[str] | None = None,
+    record: str | None = None,
+    reading: dict[str, Any] | None = None,
+    **options: Any,
+) -> Any:
+    """Load from a log and a model, each given as a file or as an object.
+
+    Parameters
+    ----------
+    log : path, Record, Spectra, CrossSpectra, or mapping of sensor to reading
+        Of static readings also a text file with one row for each sensor, its label and its number.
+    model : path or Model
+    family : str
+        ``"auto"`` takes what model and data ask for (`loadid.AutomaticInversion`); where a setting is given that says
+        more of the prior than it takes, the plain family of the data. Else ``"deconvolution"``, ``"sparse"``,
+        ``"field"``, ``"location"``, ``"static"``, ``"harmonic"``, ``"frequency"`` or ``"tracker"`` (smoothed).
+    responses : sequence of str, optional
+        Channels of the log in the order of the sensors of the model; default those of the same names.
+    record : str, optional
+        Record of a log that holds several.
+    reading : dict, optional
+        Keyword arguments of `loadid.read`.
+    **options
+        Settings of the family, those that belong together one by one (``noise``, ``noise_source``), as commands and job
+        files have them; those that are None are left to it. The penalty ``"none"`` is plain least squares; ``noise``
+        may be a mapping of sensor to std; ``nonnegative`` (True, or labels of loads), ``bounds``, ``resultant``
+        (``{"Fz": 100.0}``) and ``acting`` are constraints by name; sensors of ``validation`` are kept out and
+        predicted; ``grid`` spreads candidates over the structure; ``at`` or ``mean`` takes static readings of a log.
+
+    Returns
+    -------
+    LoadEstimate or LocationResult
+        The notes of the record stand in its provenance.
+
+    Raises
+    ------
+    InputError, NotIdentifiable
+        From the reader, the model and the family.
+    """
+    from dataclasses import replace
+
+    own = load_model(model) if isinstance(model, str | Path) else model
+    settings = {name: value for name, value in options.items() if value is not None}
+    labels = [s.label for s in own.sensors]
+    found: Any = log
+    if isinstance(log, str | Path):
+        static = family == "static" or (family == "auto" and own.gives("static"))
+        table = sensor_table(log, labels) if static and record is None and not reading else None
+        found = _read(log, record, reading) if table is None else table
+    taken = family_of(family, settings, own, found)
+    require_known(taken, {name: None for name in settings if name not in ("progress", "constraints")})
+    try:
+        estimate = _estimated(taken, found, own, responses, settings)
+    except InputError as error:
+        raise (_with_contradiction(error, found) if _is_record(found) else error) from error
+    notes = list(found.notes) if _is_record(found) else []
+    return replace(estimate, provenance={**estimate.provenance, "notes": notes}) if notes else estimate
+
+
+def family_of(family: str, settings: Mapping[str, Any], model: Model, found: Any) -> str:
+    """The family that is asked for: of ``auto`` with settings that it leaves to a family, the plain one of the data.
+
+    Raises
+    ------
+    InputError
+        No such family, or data that none takes.
+    """
+    load_family(family)
+    if family != "auto":
+        return family
+    taken = known("auto")
+    if all(name in taken or name in ("progress", "constraints") for name in settings):
+        return family
+    from .._families.automatic import kind_of
+
+    return {"static": "static", "lines": "frequency", "history": "deconvolution"}[kind_of(model, found)]
+
+
+def _estimated(family: str, found: Any, model: Model, responses: Sequence[str] | None, settings: dict[str, Any]) -> Any:
+    """The answer of a family, whose data and settings are made first."""
+    settings = dict(settings)
+    chosen, progress = load_family(family), settings.pop("progress", None)
+    if "grid" in settings:
+        model = candidates(model, settings.pop("grid"))
+    labels = [s.label for s in model.sensors]
+    kept_out = _sensors(settings, labels, family)
+    if _is_record(found):
+        wanted = None if responses is not None else [*(settings.get("sensors") or labels), *kept_out]
+        found = responses_of(found, model, responses, list(dict.fromkeys(map(str, wanted))) if wanted else None)
+    whole = found = inputs.reading(found, settings) if _is_record(found) else found
+    used = [str(s) for s in settings.get("sensors") or labels]
+    if "noise" in settings:
+        order = used if "sensors" in settings or family != "frequency" else labels
+        order = [*order, *settings.get("validation", ())] if "sensors" in settings else order
+        settings["noise"] = inputs.noise(settings["noise"], labels, order)
+    if family == "harmonic" and _is_record(found):
+        found, spread = inputs.amplitudes(found, float(settings.get("frequency") or 0.0))
+        found = {label: found[label] for label in used}
+        settings.setdefault("noise", [spread[whole.labels.index(label)] for label in used])
+        settings.setdefault("noise_source", "residual")
+    elif isinstance(found, Mapping) and "sensors" in settings:
+        found = {label: found[label] for label in used if label in found}
+    made = chosen(model, **_given(settings, chosen, model), progress=progress)
+    if family == "tracker":
+        from .._families.recommend import smoothed
+
+        estimate: Any = smoothed(made, found)
+    else:
+        estimate = made.estimate(found)
+    return inputs.held_out(estimate, model, whole, kept_out) if kept_out else estimate
+
+
+def _sensors(settings: dict[str, Any], labels: list[str], family: str) -> list[str]:
+    """Sensors that are kept out here, not by the family; the others are put into the settings."""
+    kept_out = [str(one) for one in settings.get("validation", ())]
+    if not kept_out or family == "frequency":
+        return []
+    for label in kept_out:
+        if label not in labels:
+            raise InputError("the model has no such sensor", where="validation", found=repr(label),
+                             expected=", ".join(labels))  # fmt: skip
+    given = [str(one) for one in settings.get("sensors") or [label for label in labels if label not in kept_out]]
+    if not given or set(given) & set(kept_out):
+        raise InputError("a sensor cannot train and validate", where="validation", found=", ".join(kept_out),
+                         expected="other sensors for training")  # fmt: skip
+    del settings["validation"]
+    settings["sensors"] = given
+    return kept_out
+
+
 def job(args: Namespace) -> dict[str, Any]:
-    """Keyword arguments of `identify` that say how a load is found, as the options give them."""
-    return {**{name: getattr(args, name) for name in JOB}, "nonnegative": args.nonnegative or None}
+    """Keyword arguments of `identify` of a batch that say how histories are found, as the options give them."""
+    values = given_settings(vars(args))
+    return {**{name: values.get(name) for name in JOB}, "family": args.family or "deconvolution"}
 
 
-def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
+def _given(options: dict[str, Any], family: Any, model: Model) -> dict[str, Any]:
     """The settings that were given, as the family takes them.
 
     Raises
@@ -132,22 +204,24 @@ def _given(options: dict[str, Any], family: Any) -> dict[str, Any]:
     from ..settings import Penalty
 
     written = ARGUMENTS[family.__name__]
-    given = {key: value for key, value in options.items() if value is not None}
-    taken = [name for name in (*written.defaults, *written.former) if name != "model"]
-    known = dict(written.kinds).get("penalty", (Penalty, ()))[1]
-    taken += [name for name in ("variance",) if name in known]
-    if given.get("nonnegative") and "nonnegative" not in taken and "constraints" in taken:
-        del given["nonnegative"]
-        given["constraints"] = [*given.get("constraints", ()), NonNegative()]
-    unknown = [name for name in given if name not in taken]
-    if unknown:
-        raise InputError(f"{family.__name__} has no such setting", where="identify", found=", ".join(unknown),
-                         expected=f"some of {', '.join(taken)}")  # fmt: skip
-    if given.get("penalty") == NONE:
-        given["penalty"] = None
+    given = {key: value for key, value in options.items() if value is not None or key == "gate"}
+    by_name = [name for name in CONSTRAINTS if name in given and name not in written.names]
+    if by_name:
+        found = inputs.constraints(model, {name: given.pop(name) for name in by_name})
+        if found:
+            given["constraints"] = [*given.get("constraints", ()), *found]
+    for name in ("penalty", "time"):
+        if given.get(name) == NONE:
+            given[name] = None
     if "variance" in given:
         given["penalty"] = Penalty(given.get("penalty", "identity"), variance=given.pop("variance"))
     return folded(family, given)
+
+
+def _is_record(found: Any) -> bool:
+    from .._record import Record
+
+    return isinstance(found, Record)
 
 
 def _with_contradiction(error: InputError, record: Record) -> InputError:
@@ -167,8 +241,17 @@ def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -
     return read(log, record=record, **(reading or {}))
 
 
-def responses_of(record: Record, model: Model, chosen: Sequence[str] | None) -> Record:
+def responses_of(
+    record: Record, model: Model, chosen: Sequence[str] | None, wanted: Sequence[str] | None = None
+) -> Record:
     """The channels of a record that the model predicts, in the order and under the names of its sensors.
+
+    Parameters
+    ----------
+    chosen : sequence of str, optional
+        Channels, one for every sensor.
+    wanted : sequence of str, optional
+        Sensors that are used, where only some are.
 
     Raises
     ------
@@ -179,7 +262,7 @@ def responses_of(record: Record, model: Model, chosen: Sequence[str] | None) -> 
 
     labels = [s.label for s in model.sensors]
     if chosen is None:
-        return record.select(labels)
+        return record.select(labels if wanted is None else [one for one in labels if one in wanted])
     if len(chosen) != len(labels):
         raise InputError(
             "one channel per sensor is needed",
@@ -238,60 +321,14 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
 
 
 def _configure(parser: ArgumentParser) -> None:
-    from ..settings import METHODS, OVER, PATHS, SIGNALS, VARIANCES
-
-    parser.add_argument("log", metavar="LOG", help="log with the responses")
-    parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file, from calibrate for example")
-    parser.add_argument("-o", "--output", required=True, metavar="RESULT.h5", help="result file to write")
-    parser.add_argument("--family", choices=sorted(FAMILIES), default="deconvolution")
-    parser.add_argument("--method", choices=METHODS, help="default tikhonov")
+    parser.add_argument("log", metavar="LOG|JOB.toml", nargs="?", help="log with the responses, or a job that names it")
+    parser.add_argument("--job", metavar="JOB.toml", help="job file; options override what it says")
+    parser.add_argument("--model", metavar="MODEL.h5", help="model file, from calibrate for example")
+    parser.add_argument("-o", "--output", metavar="RESULT.h5", help="result file to write; RESULT.job.toml beside it")
     parser.add_argument(
-        "--penalty",
-        type=penalty,
-        metavar="NAME",
-        help="identity (default), first_difference, second_difference; none is plain least squares",
+        "--family", choices=sorted(FAMILIES), help="default auto: what model and data ask for, said in one line"
     )
-    parser.add_argument(
-        "--variance", choices=VARIANCES, help="of the load: local learns from the record where it acts, for impacts"
-    )
-    parser.add_argument(
-        "--choice",
-        type=choice,
-        metavar="RULE",
-        help="rule (discrepancy, upre, gcv, robust_gcv, l_curve, evidence, ...), or a relative lambda",
-    )
-    parser.add_argument(
-        "--path", choices=PATHS, help="solver; default auto, which the result names: by length and model"
-    )
-    parser.add_argument("--initial", choices=STARTS, help="state of the structure at the first sample; default rest")
-    parser.add_argument(
-        "--leak",
-        type=leak,
-        metavar="PHI",
-        help="with first_difference: a load that returns to zero by itself, for sensors that see no constant",
-    )
-    parser.add_argument(
-        "--dictionary",
-        choices=DICTIONARIES,
-        help="waveforms of the sparse family: spikes (default), splines for longer pulses, wavelets",
-    )
-    parser.add_argument(
-        "--signal",
-        choices=SIGNALS,
-        help="frequency family: averaged into spectra of the loads, or transformed once into their history",
-    )
-    parser.add_argument("--over", choices=OVER, help="frequency family: who decides on lambda; default neighbours")
-    parser.add_argument(
-        "--level", type=positive, metavar="SHARE", help="frequency family: predicted error to flag, as 0.1"
-    )
-    parser.add_argument("--band", type=band, metavar="LOW:HIGH", help="frequency family: lines that are inverted, Hz")
-    parser.add_argument(
-        "--segment", type=count, metavar="SAMPLES", help="frequency family: length of the averaged segments"
-    )
-    parser.add_argument("--nonnegative", action="store_true", help="loads that push and never pull")
-    parser.add_argument(
-        "--allow", type=names, metavar="CODE,...", help="refusals to override (E306, ...); printed on every picture"
-    )
+    add_settings(parser)
     parser.add_argument(
         "--response", type=channels, metavar="CH,...", help="channels, in the order of the model's sensors"
     )
@@ -305,23 +342,115 @@ def _configure(parser: ArgumentParser) -> None:
     add_log_options(parser)
 
 
+def asked(args: Namespace) -> dict[str, Any]:
+    """What a command line and its job ask for together, by the names of a job; options override.
+
+    Raises
+    ------
+    InputError
+        From the job.
+    UsageError
+        No log, no model, no output.
+    """
+    from ._job import read as read_job
+
+    log, path = args.log, args.job
+    if path is None and log is not None and str(log).lower().endswith(".toml"):
+        log, path = None, log
+    found = {} if path is None else read_job(path)
+    words = {"log": log, "model": args.model, "output": args.output, "report": args.report, "plot": args.plot,
+             "family": args.family, "record": one_record(args), "responses": args.response,
+             "truth": args.truth}  # fmt: skip
+    found |= {name: value for name, value in words.items() if value is not None}
+    if read_as := settings(args):
+        found["reading"] = {**found.get("reading", {}), **read_as}
+    found |= given_settings(vars(args))
+    lacking = [name for name in ("log", "model", "output") if name not in found]
+    if lacking:
+        options = {"log": "LOG", "model": "--model", "output": "-o"}
+        raise UsageError(f"the following arguments are required: {', '.join(options[name] for name in lacking)} "
+                         "(see loadid identify --help)")  # fmt: skip
+    return found
+
+
 def _run(args: Namespace) -> int:
-    require_outputs({"-o": args.output, "--report": args.report, "--plot": args.plot}, [args.log, args.model])
-    allow = None if args.allow is None else known_codes(args.allow, where="--allow")
-    model = load_model(args.model)
-    log = _read(args.log, one_record(args), settings(args))
-    truth = None if args.truth is None else known_load(log, model, args.truth)
+    from ._job import FILES, OUTPUTS, beside
+    from ._job import resolved as as_text
+
+    job = asked(args)
+    require_outputs({"-o": job["output"]})
+    kept = beside(job["output"])
+    require_outputs({"-o": job["output"], "--report": job.get("report"), "--plot": job.get("plot"),
+                     "the resolved job": kept if kept != _own_job(args) else None},
+                    [job["log"], job["model"]])  # fmt: skip
+    if job.get("allow"):
+        job["allow"] = list(known_codes(job["allow"], where="--allow"))
+    model = load_model(job["model"])
+    labels = [s.label for s in model.sensors]
+    family = job.get("family", "auto")
+    table = None
+    if family in ("static", "auto") and model.gives("static") and not (job.get("record") or job.get("reading")):
+        table = sensor_table(job["log"], labels)
+    log: Any = _read(job["log"], job.get("record"), job.get("reading")) if table is None else table
+    if table is not None and job.get("truth") is not None:
+        raise InputError("a table of readings holds no measured load", where="--truth", found=job["truth"],
+                         expected="a log with a channel of the load", hint="leave --truth out")  # fmt: skip
+    truth = None if job.get("truth") is None else known_load(log, model, job["truth"])
+    options = {name: value for name, value in job.items() if name in OPTIONS}
+    job["family"] = family_of(family, options, model, log)
     with Bar() as bar:
-        estimate = identify(log, model, responses=args.response, progress=bar, **{**job(args), "allow": allow})
+        estimate = identify(log, model, family=job["family"], responses=job.get("responses"), progress=bar, **options)
+    text = as_text({**{n: job.get(n) for n in (*FILES, *OUTPUTS)}, **job}, kept.resolve().parent)
+    if job["family"] == "location":
+        return _located(args, job, estimate, kept, text)
     if truth is not None and (estimate.axis is None or estimate.axis.name != "time"):
         raise InputError("a history cannot be compared with spectra", where="--truth", found="--signal stationary",
                          expected="a load over time", hint="leave --truth out")  # fmt: skip
     error = None if truth is None else against(estimate, truth)
-    written = write_all(estimate, args.output, report=args.report, plot=args.plot, truth=truth)
+    written = write_all(estimate, job["output"], report=job.get("report"), plot=job.get("plot"), truth=truth)
+    storage.replace(kept, text.encode())
+    written.append(str(kept))
     said = summary(estimate, details=args.details, command=True)
-    lines = [said, *([comparison(error)] if error else []), f"written: {', '.join(written)}"]
+    chosen = [f"chosen: {estimate.facts.chosen}"] if estimate.facts.get("chosen") else []
+    tested = [f"kept out: {', '.join(estimate.facts.held_out)}"] if estimate.facts.get("held_out") else []
+    lines = [
+        said,
+        *chosen,
+        *tested,
+        *([comparison(error)] if error else []),
+        f"written: {', '.join(written)}",
+    ]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
+    return 0
+
+
+def _own_job(args: Namespace) -> Path | None:
+    """The job that is run, which may be rewritten as resolved."""
+    named = args.job if args.job is not None else args.log
+    return None if named is None else Path(named)
+
+
+def _located(args: Namespace, job: Mapping[str, Any], found: LocationResult, kept: Path, text: str) -> int:
+    """Write and print a search for the place of a load."""
+    ready = []
+    if job.get("plot") is not None:
+        from .._plots import rendered
+
+        ready.append((Path(job["plot"]), rendered(found.plot(), job["plot"])))
+    if job.get("report") is not None and found.estimate is not None:
+        from .._results.report import page
+
+        ready.append((Path(job["report"]), page(found.estimate).encode()))
+    found.save(job["output"])
+    for path, data in [*ready, (kept, text.encode())]:
+        storage.replace(path, data)
+    written = [str(job["output"]), *(str(path) for path, _ in ready), str(kept)]
+    lines = [found.summary()]
+    if found.estimate is not None:
+        lines.append(summary(found.estimate, details=args.details, command=True))
+    full = {} if found.estimate is None else {"estimate": found.estimate.to_dict(arrays=args.json_full)}
+    emit(args, {**found.to_dict(), **full, "written": written}, "\n".join([*lines, f"written: {', '.join(written)}"]))
     return 0
 
 

@@ -22,7 +22,9 @@ from .._inverse.choice import Choice, checked, choose, given, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
+from .._inverse.path import Solution
 from .._inverse.penalties import order
+from .._inverse.support import ActingPosterior
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
@@ -71,6 +73,10 @@ class Deconvolution:
     constraints : sequence of NonNegative
         Loads that only push (`loadid.constraints.NonNegative`). Lambda is then the largest at which such a load
         explains the data, where no rule was asked for by name; the std stays that of the load without signs, a bound.
+    support : (float, float) or sequence of such, optional
+        Windows in s, from the first sample of the record, outside which the loads are zero ("the hammer touches for
+        6 ms"): their unknowns are left out, exactly. Any penalty by a matrix up to 2000 unknowns; the identity also
+        over the states of a model, at any length, with gaps, signs or a start that is not known.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own, which is first order where it has a choice.
     noise : float, array or Noise, optional
@@ -101,6 +107,7 @@ class Deconvolution:
         choice: ChoiceLike = None,
         initial: str | ArrayLike = "rest",
         constraints: Sequence[Any] = (),
+        support: ArrayLike | None = None,
         hold: str | None = None,
         noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
@@ -112,7 +119,9 @@ class Deconvolution:
             raise InputError(
                 "without a penalty there is no lambda to choose", where="choice", found=lam.choice, expected="None"
             )
-        self.settings = PosingSettings(Noise.of(noise), lam, held, told_of.codes, hold, initial, signs(constraints))
+        self.settings = PosingSettings(
+            Noise.of(noise), lam, held, told_of.codes, hold, initial, signs(constraints), support
+        )
         self.model = as_model(model, "Deconvolution", "impulse_response")
         self.choice = 0.0 if held.L is None else checked(lam.choice)
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
@@ -160,11 +169,11 @@ class Deconvolution:
         local = local_variance.learned(posed, self.settings, found.load, states)
         found = local_variance.replaced(found, local, choice, data.dt)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
-        if prior and isinstance(local, local_variance.Learned):
+        if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
-        elif self.settings.automatic and posed.gains is not None:
+        elif self.settings.unasked and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)
-        elif self.settings.automatic and len(found.load) <= local_variance.LONGEST:
+        elif self.settings.unasked and len(found.load) <= local_variance.LONGEST:
             found = local_variance.widened(found, states(), choice)
         self._progress(1.0, "done")
         return answer(
@@ -179,7 +188,7 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
     ) -> SolvedLoad:
         """The load with what is known of it; of loads that only push, that of the solver of signs."""
-        path, solution = posed.path, posed.path.solution(choice.lam, sigma)
+        path, solution = posed.path, self._in_windows(posed.path.solution(choice.lam, sigma), data.dt)
         load = solution.load if pushed is None else pushed.load
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
         width, lost = identifiability.resolution(path, choice.lam, load)
@@ -196,6 +205,13 @@ class Deconvolution:
             return replace(found, flags=(*self._impacts(found, data.dt), *found.flags))
         excess = beyond_noise(pushed.residual2, path.m, posed.noise)
         return replace(found, excess=excess, flags=(*pushing_flags(pushed, posed, choice, sigma), *found.flags))
+
+    def _in_windows(self, found: Solution, dt: float) -> Solution:
+        """The solution of loads that act in windows alone: outside them they are known."""
+        mask = self.settings.acting(len(found.load), dt)
+        if mask is None or found.posterior is None:
+            return found
+        return Solution(found.load, ActingPosterior(found.posterior, np.repeat(mask[:, None], found.load.shape[1], 1)))
 
     def _over_states(self, posed: Posed, data: Data) -> Posed | None:
         return posed if posed.record is not None else on_states(self.model, data, self.settings)
@@ -288,6 +304,7 @@ class Deconvolution:
             "size": None if s.penalty.size is None else np.asarray(s.penalty.size, float).tolist(),
             "choice": named(self.choice),
             **({} if s.penalty.variance == "auto" else {"variance": s.penalty.variance}),
+            **({} if s.support is None else {"support": [list(one) for one in s.support]}),
             "hold": s.hold,
             "path": posed.name,
             "noise_source": posed.noise.source.text,

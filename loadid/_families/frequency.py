@@ -28,7 +28,7 @@ from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
 from .answer import SolvedLoad, answer, of_lines, over_time
 from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged
-from .posing.gathered import LineData, LineSettings, lines_of, response
+from .posing.gathered import BandPart, LineData, LineSettings, lines_of, response
 
 Array = NDArray[Any]
 
@@ -62,7 +62,9 @@ class FrequencyInversion:
         What a time record is: averaged into cross spectra, or transformed once, zero-padded, into a load history; with
         the segments that are averaged: `loadid.Signal`.
     band : (float, float), optional
-        Lines that are inverted (Hz); not of a transient, whose history needs all of them.
+        Lines that are inverted (Hz). A transient behind a sampled model needs all of them; behind a table of FRFs
+        (`structures.FrfModel`) its history comes out in the band of the table or in this part of it, tapered at the
+        ends: ``facts.history_band`` says where, and what of the record lies outside.
     noise : float, array or Noise, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
         (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.
@@ -268,7 +270,9 @@ class FrequencyInversion:
             told.antiresonance(spectrum, labels),
             told.inseparable(spectrum, H / np.sqrt(solved.total)[..., None], strength, labels),
             None if line.data is None else told.leaking(line.data.values, np.asarray(found.residual)),
-            None if line.facts is None else told.too_coarse(line.facts["bandwidth"], self.model.decay_rate),
+            told.too_coarse(line.facts["bandwidth"], self.model.decay_rate)
+            if line.facts is not None and "bandwidth" in line.facts
+            else None,
         ]
 
 
@@ -310,14 +314,32 @@ def _of_cross(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSp
 def _of_transient(solved: LineFit, line: LineData, H: NDArray[Any], spectrum: LoadSpectrum) -> SolvedLoad:
     assert line.data is not None
     samples = len(line.data.values)
+    if line.part_of is not None:
+        return _of_band(solved, line, line.part_of, H, spectrum)
     history = np.fft.irfft(solved.load[..., 0], line.padded, axis=0)[:samples]
     held = np.fft.rfft(history, line.padded, axis=0)
     made = np.fft.irfft(np.einsum("ksl,kl->ks", H[:, line.rows], held), line.padded, axis=0)[:samples]
     known = SpectralPosterior(solved.covariance, samples, line.padded)
     return SolvedLoad(
-        load=history, std=known.std, bias=_hidden(solved, history, known.std, line.padded), posterior=known,
+        load=history, std=known.std, bias=_hidden(solved.blind, history, known.std, line.padded), posterior=known,
         axis=over_time(samples, line.data.dt), response=line.data.values, residual=line.data.values - made,
         facts=Facts(), spectrum=spectrum,
+    )  # fmt: skip
+
+
+def _of_band(
+    solved: LineFit, line: LineData, part: BandPart, H: NDArray[Any], spectrum: LoadSpectrum
+) -> SolvedLoad:  # fmt: skip
+    """A history of the band that a table of FRFs covers: load, band, response and residual are of these lines alone."""
+    assert line.data is not None
+    samples, padded, G = len(line.data.values), line.padded, solved.load[..., 0]
+    history, seen = part.history(G, padded, samples), part.history(line.X[..., 0], padded, samples)
+    made = part.history(np.einsum("ksl,kl->ks", H[:, line.rows], G), padded, samples)
+    known = SpectralPosterior(part.whole(solved.covariance, padded, power=2), samples, padded)
+    std = known.std
+    return SolvedLoad(
+        load=history, std=std, bias=_hidden(part.whole(solved.blind, padded), history, std, padded), posterior=known,
+        axis=over_time(samples, line.data.dt), response=seen, residual=seen - made, facts=Facts(), spectrum=spectrum,
     )  # fmt: skip
 
 
@@ -329,7 +351,7 @@ _ANSWERS: dict[str, Callable[[LineFit, LineData, NDArray[Any], LoadSpectrum], So
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
-def _hidden(solved: LineFit, history: Array, std: Array, padded: int) -> NDArray[np.float64]:
+def _hidden(blind: NDArray[Any], history: Array, std: Array, padded: int) -> NDArray[np.float64]:
     """What is expected to be missing from a transient, (samples, loads).
 
     The posterior takes lines for independent and spreads what they do not tell evenly over the record. Of a pulse all
@@ -341,7 +363,7 @@ def _hidden(solved: LineFit, history: Array, std: Array, padded: int) -> NDArray
     size = np.sqrt(uniform_filter1d(history**2, 5, axis=0))
     clear = np.where(size > CLEAR * std, history, 0.0)
     spectrum = np.fft.rfft(clear, padded, axis=0)
-    missing = np.fft.irfft(np.einsum("kij,kj->ki", solved.blind, spectrum), padded, axis=0)[: len(history)]
+    missing = np.fft.irfft(np.einsum("kij,kj->ki", blind, spectrum), padded, axis=0)[: len(history)]
     # far from the pulses what rings on is no bias of this load
     beside = np.asarray(maximum_filter1d(clear != 0, 2 * BESIDE + 1, axis=0))
     return np.where(beside, missing, 0.0)

@@ -15,6 +15,7 @@ from .._inverse.local_prior import (
     UNLIKELY,
     LocalPrior,
     StationaryPrior,
+    errors_told,
     local_prior,
     stationary_prior,
     with_errors,
@@ -62,7 +63,25 @@ class Learned:
     names: tuple[str, ...] = ()
 
 
-Priors: TypeAlias = Learned | StationaryPrior | str | None
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """A load of constant variance that is smooth over as many samples as the data ask for; as it was asked for.
+
+    Parameters
+    ----------
+    prior : StationaryPrior
+    posed : Posed
+        Over the states of the model.
+    errors : Marginal, optional
+        Of the model.
+    """
+
+    prior: StationaryPrior
+    posed: Posed
+    errors: Marginal | None = None
+
+
+Priors: TypeAlias = Learned | Smooth | StationaryPrior | str | None
 """Both; a constant variance alone, of a load that acts throughout; why none was learned; none was to be learned."""
 
 
@@ -84,6 +103,11 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         assert posed.record is not None
         prior = local_prior(posed.record, stated=posed.noise.known)
         return _with_errors(prior, posed)
+    if settings.penalty.variance == "smooth":
+        assert posed.record is not None
+        still = stationary_prior(posed.record, stated=posed.noise.known)
+        wrong = None if posed.nuisances is None else errors_told(still, posed.nuisances)
+        return Smooth(still, posed, wrong)
     if settings.penalty.variance == "constant":
         return None
     if why := _not_asked(settings, load, LONGEST if posed.spectrum is None else LONGEST_LINES):
@@ -125,6 +149,8 @@ def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
 
 def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
+    if settings.support is not None:
+        return "a window of the load was given"
     if not settings.automatic:
         return "another prior, a lambda or a rule was asked for"
     if len(load) > longest:
@@ -140,12 +166,12 @@ def spread(load: Array) -> float:
     return float(np.min(energy.sum(axis=1) ** 2 / (len(load) * square)))
 
 
-def unasked(choice: Choice, learned: Learned) -> Choice:
+def unasked(choice: Choice, learned: Learned | Smooth) -> Choice:
     """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it.
 
     A model that the data contradict beyond what it was said to be wrong by has the worst grade.
     """
-    if learned.prior.contradicted:
+    if isinstance(learned, Learned) and learned.prior.contradicted:
         return replace(ungraded(choice), odds=f"the data contradict the model: {wrong(learned)}")
     odds = "the variance of the load was learned by its evidence; lambda and its rules are those of a constant variance"
     return replace(choice, verdict="not asked", odds=odds)
@@ -225,10 +251,37 @@ def _between(found: SolvedLoad, others: Sequence[StationaryPrior | LocalLinesPri
 
 def words(learned: Priors) -> str:
     """The prior in words; "" where it is that of the penalty."""
-    if not isinstance(learned, Learned) or not learned.asked_for:
+    if not isinstance(learned, Learned | Smooth) or not (isinstance(learned, Smooth) or learned.asked_for):
         return ""
     memory = "white" if not learned.prior.memory else f"smooth over {learned.prior.memory:g} samples"
+    if isinstance(learned, Smooth):
+        return f"a load of zero mean and constant variance, {memory}"
     return f"a load of zero mean whose variance changes with time, {memory}"
+
+
+def _smooth(found: SolvedLoad, learned: Smooth, choice: Choice, dt: float) -> SolvedLoad:
+    """The answer with the load of a smooth prior."""
+    prior, posed = learned.prior, learned.posed
+    load, band, start = prior.posterior(learned.errors)
+    response, residual = posed.compare(load, choice.lam, start)
+    resolution, lost = _seen(prior, load, dt)
+    facts = {
+        **found.facts, "path": posed.name, "variance": "smooth", "memory": prior.memory, "log_evidence": prior.evidence,
+        "resolution": resolution, "peak_bias": lost, "edf": prior.freedom(),
+    }  # fmt: skip
+    flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
+    excess = beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
+                   facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip
+
+
+def _seen(prior: StationaryPrior | LocalLinesPrior, load: Array, dt: float) -> tuple[float, float]:
+    """Width (s) at which a single sample is shown where the load is largest, and the share of it that is lost."""
+    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
+    one = np.zeros_like(load)
+    one[at] = 1.0
+    seen = prior.resolved(one)[:, at[1]]
+    return half_width(seen) * dt, float(np.clip(1 - seen[at[0]], 0.0, 1.0))
 
 
 def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> SolvedLoad:
@@ -239,6 +292,8 @@ def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> S
         return found
     if isinstance(learned, str):
         return _constant(found, learned)
+    if isinstance(learned, Smooth):
+        return _smooth(found, learned, choice, dt)
     prior, posed = learned.prior, learned.posed
     facts = {
         **found.facts,
@@ -253,14 +308,11 @@ def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> S
         return _between(replace(found, facts=Facts.of(facts)), [prior, *stationary])
     load, band, start = prior.posterior(prior.errors)
     response, residual = posed.compare(load, choice.lam, start)
-    at = np.unravel_index(int(np.argmax(np.abs(load))), load.shape)
-    one = np.zeros_like(load)
-    one[at] = 1.0
-    seen = prior.resolved(one)[:, at[1]]
+    resolution, lost = _seen(prior, load, dt)
     facts |= {
         "path": posed.name,
-        "resolution": half_width(seen) * dt,
-        "peak_bias": float(np.clip(1 - seen[at[0]], 0.0, 1.0)),
+        "resolution": resolution,
+        "peak_bias": lost,
         "edf": prior.freedom(),
         "model_misfit": prior.misfit,
         "model_errors": wrong(learned),

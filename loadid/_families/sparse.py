@@ -69,6 +69,9 @@ class SparseDeconvolution:
         Rule for mu (``"discrepancy"``, ``"ebic"``, or any that the size of the support serves as degrees of freedom,
         such as ``"gcv"``), or mu over the smallest at which everything is zero. None: discrepancy, with the stated
         noise level, or with that which the least squares of the best extended information criterion leaves.
+    support : (float, float) or sequence of such, optional
+        Windows in s, from the first sample of the record, outside which the loads are zero: waveforms that reach
+        beyond them are left out.
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own.
     noise : float, array or Noise, optional
@@ -98,6 +101,7 @@ class SparseDeconvolution:
         knots: int | str | Sequence[int] | None = None,
         sparsity: Sparsity = Sparsity(),  # noqa: B008 -- immutable
         choice: ChoiceLike = None,
+        support: ArrayLike | None = None,
         hold: str | None = None,
         noise: ArrayLike | Noise | None = None,
         sensors: Sequence[str | int] | None = None,
@@ -109,7 +113,7 @@ class SparseDeconvolution:
         told_of = Guards.of(allow)
         self.wanted = Wanted(dictionary, knots, Sparsity.of(sparsity), Lambda.of(choice).choice)
         _check(self.wanted)
-        self.posing = PosingSettings(Noise.of(noise), Lambda(), Penalty(), told_of.codes, hold)
+        self.posing = PosingSettings(Noise.of(noise), Lambda(), Penalty(), told_of.codes, hold, support=support)
         self.model = as_model(model, "SparseDeconvolution", "impulse_response")
         self.sensors, self.coverage, self.load_class = sensors, told_of.coverage, told_of.load_class
         self._progress = Progress(progress)
@@ -267,6 +271,7 @@ class SparseDeconvolution:
             "hold": self.posing.hold,
             "noise_source": chosen.problem.noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
+            **({} if self.posing.support is None else {"support": [list(one) for one in self.posing.support]}),
         }
 
 

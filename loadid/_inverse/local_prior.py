@@ -201,15 +201,15 @@ class LocalPrior(StationaryPrior, Judgement):
     fit: Fit
 
 
-def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
-    """The prior with errors of the model in its band, as far as the data do not rule them out.
+def errors_told(prior: StationaryPrior, nuisances: Nuisances) -> Marginal:
+    """Errors of the model, linearised about the load of a prior, as far as the data do not rule them out.
 
     The load is not moved by what the data tell of them: errors of no kind that the prior knows (modes that the model
     leaves out) are told as such that it knows, and take the load with them, far beyond the band.
 
     Parameters
     ----------
-    prior : LocalPrior
+    prior : StationaryPrior
     nuisances : Nuisances
         Of the problem whose record it was learned from, without memory.
     """
@@ -220,8 +220,13 @@ def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
         _, pulled, _, weighed, _ = smoother.means(data)
         return weighed, pulled
 
-    start, noise = prior.given.start @ first, prior.given.noise
-    found = replace(prior, errors=linearised(nuisances, load, start, solve, prior.record.y, noise))
+    return linearised(nuisances, load, prior.given.start @ first, solve, prior.record.y, prior.given.noise)
+
+
+def with_errors(prior: LocalPrior, nuisances: Nuisances) -> LocalPrior:
+    """The prior with errors of the model in its band: see `errors_told`."""
+    smoother = prior.smoother
+    found = replace(prior, errors=errors_told(prior, nuisances))
     vars(found)["smoother"] = smoother  # the record and the variances are the same
     return found
 

@@ -195,6 +195,7 @@ class SpectralPosterior:
 
 
 ELSEWHERE = {  # kind -> module and class that reads it
+    "acting": (".support", "ActingPosterior"),
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
     "drawn": (".marginal", "DrawnPosterior"),
     "marginal": (".marginal", "MarginalPosterior"),

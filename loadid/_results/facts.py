@@ -58,6 +58,8 @@ class Facts(Mapping[str, Any]):
         Condition number of the visible part.
     frames : int
         Static readings in one estimate.
+    chosen : str
+        Which family and prior were taken where the data decided, and why; one line.
     missing, frf_errors, band, path, solver : str
         In words: samples that are not there, what errors of the FRF add to the noise, what the std holds, how it was
         solved, and by what where loads only push.
@@ -76,6 +78,8 @@ class Facts(Mapping[str, Any]):
     trusted_lines, trust_level, untold_power : float
         Share of the frequency lines that tell every load to this predicted relative error; a load that makes less than
         5 % of the response of a line does not count there. Largest share of the power of a load on the other lines.
+    history_band : str
+        In words: the lines that a history is made of, their tapers, and what of the record lies outside.
     averages, bandwidth, window
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     untested_sensors : tuple of str
@@ -114,6 +118,7 @@ class Facts(Mapping[str, Any]):
     kappa: float | None = fact("condition number of the visible part")
     frames: int | None = fact()
     missing: str | None = fact()
+    chosen: str | None = fact("family and prior, and why", shown=False)
     edf: float | None = fact("effective degrees of freedom")
     residual_to_noise: float | None = fact("residual / noise")
     resolution: float | None = fact("resolution width", "that of resolution_unit")
@@ -127,6 +132,7 @@ class Facts(Mapping[str, Any]):
     averages: float | None = fact("independent averages")
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()
+    history_band: str | None = fact("band of the history")
     untested_sensors: tuple[str, ...] | None = fact("sensors that the others do not determine")
     offsets: tuple[str, ...] | None = fact("offsets of channels, estimated with the load")
     held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")

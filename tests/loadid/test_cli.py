@@ -403,7 +403,7 @@ def asking(name: str):
             ["--family", "sparse", "--nonnegative", "--choice", "ebic"],
             {"sparsity": Sparsity(nonnegative=True), "choice": "ebic"},
         ),
-        ([], {}),
+        (["--family", "deconvolution"], {}),
         (["--path", "statespace", "--initial", "unknown"], {"choice": Lambda(path="statespace"), "initial": "unknown"}),
         (["--penalty", "first_difference", "--leak", "0.99"], {"penalty": Penalty("first_difference", leak=0.99)}),
         (["--penalty", "none"], {"penalty": None}),
@@ -423,7 +423,8 @@ def test_loads_that_push_are_a_constraint_where_the_family_has_constraints(run, 
 
     monkeypatch.setattr("loadid._families.deconvolution.Deconvolution", asking("Deconvolution"))
     with pytest.raises(Asked) as caught:
-        run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--nonnegative")
+        run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--nonnegative",
+            "--family", "deconvolution")  # fmt: skip
     (one,) = caught.value.args[0]["constraints"]
     assert isinstance(one, NonNegative)
 

@@ -79,7 +79,7 @@ def test_a_table_of_frfs_tells_what_it_covers(files: Path, capsys: pytest.Captur
     ("words", "code", "said"),
     [
         ([], 3, "stationary"),  # the kind of signal is never guessed
-        (["--signal", "transient"], 3, "impulse_response"),  # a table of lines has no history
+        (["--signal", "transient"], 3, "lines of the table"),  # a record longer than they resolve
         (["--signal", "stationary", "--band", "9:3"], 2, "no band"),
         (["--signal", "stationary", "--truth", "a8"], 3, "truth"),
     ],

@@ -53,6 +53,8 @@ class LineData:
         The record of a transient.
     padded : int
         Length of its transform.
+    part_of : BandPart, optional
+        Of a transient behind a table of FRFs: which lines of the transform these are.
     findings : tuple of Flag
     facts : dict
         How the spectra were made.
@@ -74,6 +76,7 @@ class LineData:
     inputs: dict[str, str]
     data: Data | None = None
     padded: int = 0
+    part_of: BandPart | None = None
     findings: tuple[Flag, ...] = ()
     facts: dict[str, Any] | None = None
     fingerprints: frozenset[str] = frozenset()
@@ -94,6 +97,41 @@ class LineData:
             self, X=self.X[:, pick], power=self.power[:, pick], rows=self.rows[pick], channels=self.channels[pick],
             data=data,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class BandPart:
+    """A part of the lines of a padded transform, and how its ends fade.
+
+    Parameters
+    ----------
+    at : array of int, shape (lines,)
+        Where they stand in the transform.
+    weight : array, shape (lines,)
+        1 inside, falling to 0 as a half cosine over `TAPERED` of the band at an end that is not that of all lines.
+    edges : (float, float)
+        Widths (Hz) of the two tapers, 0 where there is none.
+    outside : float
+        Share of the energy of the record on the other lines, and of what the tapers take away.
+    """
+
+    at: NDArray[np.int_]
+    weight: NDArray[np.float64]
+    edges: tuple[float, float]
+    outside: float
+
+    def whole(self, lines: Array, padded: int, power: int = 1) -> NDArray[Any]:
+        """Lines (lines, ...) in the transform of this length, zero elsewhere, by a power of the weight."""
+        found = np.zeros((padded // 2 + 1, *lines.shape[1:]), lines.dtype)
+        found[self.at] = lines * (self.weight**power).reshape(-1, *[1] * (lines.ndim - 1))
+        return found
+
+    def history(self, lines: Array, padded: int, samples: int) -> NDArray[np.float64]:
+        """What these lines are over time, (samples, ...)."""
+        return np.fft.irfft(self.whole(lines, padded), padded, axis=0)[:samples]
+
+
+TAPERED = 0.1  # of the band, at each end
 
 
 @dataclass(frozen=True)
@@ -200,6 +238,8 @@ def _averaged(data: list[Data], model: Model, s: LineSettings) -> LineData:
 
 
 def _of_transient(data: Data, model: Model, s: LineSettings) -> LineData:
+    if not (model.sampled or model.gives("impulse_response")):
+        return _of_banded(data, model, s)
     if s.band is not None:
         raise InputError("a history is made of all lines of its record", where="band", found=f"{s.band!r}"[:80],
                          expected="no band with signal='transient'",
@@ -217,8 +257,82 @@ def _of_transient(data: Data, model: Model, s: LineSettings) -> LineData:
             source = NoiseSource("residual", f"residual power of {sum(h.used for h in model.hits)} training hits")
     return LineData(
         f, X[..., None], power, known, source, 1.0, "transient", data.rows, data.channels,
-        data.inputs, data, padded, data.findings, **_origin([data]),
+        data.inputs, data, padded, None, data.findings, **_origin([data]),
     )  # fmt: skip
+
+
+def _of_banded(data: Data, model: Model, s: LineSettings) -> LineData:
+    """A transient on the lines that a table of FRFs has: its loads come out in that band."""
+    noise = noises.resolve(s.noise, model, data)
+    _refuse_covariance(noise)
+    samples, own = len(data.values), model.frequencies
+    if own is None or len(own) < FEWEST:
+        raise InputError("a history takes a band of lines", where="signal", found="a table of too few lines",
+                         expected=f"{FEWEST} lines or more")  # fmt: skip
+    padded = _length(model, np.asarray(own, float), data)
+    f = np.asarray(np.fft.rfftfreq(padded, data.dt), float)
+    step = float(f[1])
+    low, high = (float(own[0]), float(own[-1])) if s.band is None else _band(s.band)
+    slack = 1e-6 * step
+    at = np.flatnonzero((f >= max(low, own[0]) - slack) & (f <= min(high, own[-1]) + slack))
+    if len(at) < FEWEST:
+        raise InputError("no band of lines", where="band", found=f"{low:g} to {high:g} Hz", expected="lines within "
+                         f"{own[0]:.6g} to {own[-1]:.6g} Hz, {FEWEST} or more")  # fmt: skip
+    weight, edges = _tapered(f[at], f[-1], step)
+    X = np.fft.rfft(data.values, padded, axis=0)
+    energy = np.sum(np.abs(X) ** 2, axis=1)
+    outside = float(1 - np.sum(weight**2 * energy[at]) / max(float(np.sum(energy)), np.finfo(float).tiny))
+    part = BandPart(at, weight, edges, outside)
+    ends = " and ".join(f"{e:.4g} Hz {end}" for e, end in zip(edges, ("below", "above"), strict=True) if e) or "no end"
+    told = f"{f[at[0]]:.6g} to {f[at[-1]]:.6g} Hz, tapered over {ends}; {outside:.1%} of the energy of the record is "
+    return LineData(
+        f[at], X[at][..., None], np.tile(samples * noise.level**2, (len(at), 1)), noise.known, noise.source, 1.0,
+        "transient", data.rows, data.channels, data.inputs, data, padded, part, data.findings,
+        {"history_band": told + "outside, and so is what the load does there"}, **_origin([data]),
+    )  # fmt: skip
+
+
+FEWEST = 8  # lines that make a history
+EVEN = 1e-3  # of a line, by which two grids may differ over the band
+
+
+def _length(model: Model, own: Array, data: Data) -> int:
+    """Length of the transform whose lines the table has.
+
+    Raises
+    ------
+    InputError
+        A record longer than the spacing of the lines resolves.
+    """
+    samples = len(data.values)
+    if model.has_lines([0.5 * (own[0] + own[1])]).all() and model.has_lines(own).all():
+        return padded_length(samples)
+    step = float(np.median(np.diff(own)))
+    length = round(1 / (step * data.dt))
+    even = abs(length * step * data.dt - 1) * own[-1] / step <= EVEN and length % 2 == 0
+    on_lines = np.abs(own / step - np.round(own / step)).max() <= EVEN and np.ptp(np.diff(own)) <= EVEN * step
+    if length < samples or not (even and on_lines):
+        raise InputError(
+            "the lines of the table are not those of a transform of this record", where="signal",
+            found=f"lines every {step:.6g} Hz, a record of {samples * data.dt:.6g} s at {data.dt:.6g} s",
+            expected=f"a record of at most {1 / step:.6g} s, whose step divides that time evenly",
+            hint="take a part of the record that holds the event, or FrfModel(..., interpolate=True) where the lines "
+            "are dense beside the peaks",
+        )  # fmt: skip
+    return length
+
+
+def _tapered(f: Array, nyquist: float, step: float) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Weights of the lines of a band, and the widths of its tapers."""
+    width = max(TAPERED * float(f[-1] - f[0]), 2 * step)
+    low = width if f[0] > 1.5 * step else 0.0
+    high = width if f[-1] < nyquist - 0.5 * step else 0.0
+    weight = np.ones(len(f))
+    if low:
+        weight *= 0.5 - 0.5 * np.cos(np.pi * np.clip((f - f[0] + 0.5 * step) / low, 0, 1))
+    if high:
+        weight *= 0.5 - 0.5 * np.cos(np.pi * np.clip((f[-1] + 0.5 * step - f) / high, 0, 1))
+    return weight, (low, high)
 
 
 def _origin(data: list[Data]) -> dict[str, Any]:
@@ -231,7 +345,7 @@ def _origin(data: list[Data]) -> dict[str, Any]:
 
 def response(model: Model, line: LineData) -> NDArray[np.complex128]:
     """FRF of the model at the lines, (lines, sensors of the model, loads): of a transient that of its sampled form."""
-    if line.data is None or model.sampled:
+    if line.data is None or line.part_of is not None or model.sampled:
         return model.frf(line.frequencies)
     model.require("impulse_response")
     h = model.impulse_response(line.data.dt, line.padded // 2, model.default_hold)

@@ -35,6 +35,7 @@ from ..data import Data
 from ..noise import NoiseLevel
 from .model_errors import nuisances
 from .posed import BY_MATRIX, WHOLE, Posed, PosingSettings, measured_response
+from .support import gated
 
 Array = NDArray[Any]
 
@@ -100,14 +101,19 @@ def states(
     known = respond(np.zeros((len(values), D.shape[-1])), start) if isinstance(start, np.ndarray) else 0.0
     extra = {"leak": settings.penalty.leak, "from_zero": settings.penalty.from_zero, "unknown_start": seen}
     systems = _systems(A, B, C[rows], D[..., rows, :], len(values), settings.penalty.L, **extra)
-    own = measured(systems, np.where(missing, np.nan, values - known), noise.level)
+    mask = settings.acting(len(values), data.dt)
+
+    def heard_in_window(found: WhitenedRecord) -> WhitenedRecord:
+        return found if mask is None else gated(found, mask)
+
+    own = heard_in_window(measured(systems, np.where(missing, np.nan, values - known), noise.level))
     long = len(values) > WHOLE_STATES
     if sizes is not None and unknown:
         raise InputError("with a weight of the size the start of the structure is known", where="initial",
                          found="'unknown'", expected="'rest' or a state",
                          hint="leave out the size of the penalty")  # fmt: skip
     path = StateSpacePath(own, quick=long) if sizes is None else SizedPath(own, sizes, quick=long)
-    judged = (windows_of(path) or path) if long and sizes is None else path
+    judged = (windows_of(path) or path) if long and sizes is None and mask is None else path
 
     def compare(load: Array, lam: float, first: Array | None) -> tuple[Array, Array]:
         begin = np.zeros(len(A))
@@ -134,18 +140,22 @@ def states(
             Ao, Bo, Co = _with_constants(other.A, other.B, Co, constants)
         scale = factors[:, None]
         again = _systems(Ao, Bo, Co[rows] * scale, Do[..., rows, :] * scale, len(values), settings.penalty.L, **extra)
-        return measured(again, np.where(missing, np.nan, values - known), noise.level)
+        return heard_in_window(measured(again, np.where(missing, np.nan, values - known), noise.level))
 
     wrong = None
     if settings.penalty.variance != "constant":
         modal = not seen or seen == constants.shape[1]
         wrong = nuisances(model, system, rows, settings.noise.errors or {}, modal, altered)
     name, visible = "state space, O(N)", layout(own)
+    unknowns = path.unknowns if mask is None else int(mask.sum()) * D.shape[-1]
+    if mask is not None:
+        rank = min(round(visible[1] * unknowns / path.unknowns), unknowns)
+        visible = visible[0], rank, unknowns - rank
 
     def white(raw: Array) -> Array:
         return whitened(np.where(missing, np.nan, raw), noise.level)[0]
 
-    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, path.unknowns, judged, pushing, own,
+    return Posed(path, noise, compare, values, name, h[:, rows], visible, full, unknowns, judged, pushing, own,
                  wrong, white=white, floats=bool(count))  # fmt: skip
 
 

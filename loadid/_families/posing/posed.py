@@ -29,6 +29,7 @@ from ...settings import Lambda, Noise, Penalty, one_of
 from .. import noise as noises
 from ..data import AS_RECORDED, Data
 from .model_errors import GainErrors, gains
+from .support import acting, refuse, windows
 
 Array = NDArray[Any]
 
@@ -50,9 +51,11 @@ class PosingSettings:
     hold: str | None = None
     initial: str | ArrayLike = "rest"
     signed: ArrayLike | bool | None = False
+    support: Any = None
 
     def __post_init__(self) -> None:
         one_of("hold", self.hold, (None, *HOLDS))
+        object.__setattr__(self, "support", windows(self.support))
         if self.truncated:
             self._check_truncated()
         sized = isinstance(self.penalty.L, str) and not self.truncated and self.signed is False
@@ -62,8 +65,13 @@ class PosingSettings:
                 found="'tsvd'" if self.truncated else "signs" if self.signed is not False else "a matrix or None",
                 expected="penalty=Penalty('first_difference', size=...) or another name, Tikhonov, no constraints",
             )  # fmt: skip
-        if self.penalty.variance == "local" and not self._plain:
+        if self.local and not self._plain:
             self._refuse_local()
+        if self.local and self.support is not None:
+            refuse(
+                f"variance={self.penalty.variance!r}",
+                "variance='auto' or 'constant': the window says when",
+            )
         if isinstance(self.initial, str):
             one_of("initial", self.initial, ("rest", "unknown"))
         else:
@@ -78,21 +86,35 @@ class PosingSettings:
             raise InputError("a truncated SVD takes no constraints", where="method", found="'tsvd'",
                              expected="method='tikhonov'")  # fmt: skip
 
+    def acting(self, samples: int, dt: float) -> NDArray[np.bool_] | None:
+        """Samples at which the loads act; None where no window was given: at all of them."""
+        return None if self.support is None else acting(self.support, samples, dt)
+
     def _refuse_local(self) -> None:
-        raise InputError("a variance that changes with time stands for the penalty", where="variance",
+        raise InputError("a variance that is learned stands for the penalty", where="variance",
                          found="another penalty, truncation or signs beside it", hint="leave one of them out",
-                         expected="Penalty('identity', variance='local'), Tikhonov, no constraints")  # fmt: skip
+                         expected=f"Penalty('identity', variance={self.penalty.variance!r}), Tikhonov, no constraints",
+                         )  # fmt: skip
 
     @property
     def _plain(self) -> bool:
         """Nothing is held small but the load, at every sample as much as at others."""
+        return self.single and not (self.truncated or self.signed is not False)
+
+    @property
+    def single(self) -> bool:
+        """The penalty holds each sample by itself."""
         plain = self.penalty.L == "identity" if isinstance(self.penalty.L, str) else False
-        beside = self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero
-        return plain and not (beside or self.truncated or self.signed is not False)
+        return plain and not (self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero)
 
     @property
     def automatic(self) -> bool:
         """Whether the data may ask for a variance that changes with time: no lambda, no rule was asked for by name."""
+        return self.unasked and self.support is None
+
+    @property
+    def unasked(self) -> bool:
+        """Nothing was asked for by name: the band holds errors of the model."""
         return self.penalty.variance == "auto" and self._plain and self.lam.choice is None
 
     @property
@@ -122,8 +144,8 @@ class PosingSettings:
 
     @property
     def local(self) -> bool:
-        """A variance of the load that changes with time was asked for."""
-        return self.penalty.variance == "local"
+        """Variances of the load that are learned from the record were asked for."""
+        return self.penalty.variance in ("local", "smooth")
 
     @property
     def _special(self) -> bool:
@@ -156,7 +178,7 @@ class PosingSettings:
         special = self.special if local else self._special
         if special or (self.penalty.size is not None and path != "dense"):
             name = "leak" if self.penalty.leak is not None else "from_zero" if self.penalty.from_zero else "size"
-            name = "variance" if self.penalty.variance == "local" else name if self.resting else "initial"
+            name = "variance" if self.local else name if self.resting else "initial"
             raise InputError(
                 f"the {path} path does not know this setting", where=name,
                 found=repr(self.penalty if self.resting else self.initial)[:60],

@@ -27,6 +27,7 @@ from .. import noise as noises
 from ..data import Data
 from .paths import coloured
 from .posed import PosingSettings, measured_response, shift
+from .support import refuse
 
 Array = NDArray[Any]
 
@@ -77,6 +78,8 @@ class Problem:
         The data, advanced where the impulse response begins late.
     missing : array of bool, the shape of `values`
     noise : NoiseLevel
+    acting : array of bool, shape (samples,), optional
+        Samples at which the loads act: waveforms that reach beyond them are left out.
     """
 
     h: NDArray[np.float64]
@@ -86,6 +89,7 @@ class Problem:
     values: NDArray[np.float64]
     missing: NDArray[np.bool_]
     noise: noises.NoiseLevel
+    acting: NDArray[np.bool_] | None = None
 
     @property
     def samples(self) -> int:
@@ -99,6 +103,8 @@ class Problem:
 
     def atoms(self, dictionary: str | Array, knots: int | None = None) -> Atoms:
         """The dictionary of a name (and spacing) on this record."""
+        if self.acting is not None:
+            return MatrixAtoms(self.h, self._inside(dictionary, knots, self.acting), self.weight)
         if not isinstance(dictionary, str):
             if dictionary.ndim != 2 or len(dictionary) != self.samples or not np.all(np.isfinite(dictionary)):
                 raise InputError("the dictionary does not fit the record", where="dictionary",
@@ -111,13 +117,31 @@ class Problem:
         make = dirac if dictionary == "dirac" else wavelet
         return ShiftedAtoms(self.h, make(self.samples), self.weight)
 
+    def _inside(self, dictionary: str | Array, knots: int | None, mask: NDArray[np.bool_]) -> Array:
+        """Waveforms (samples, atoms) that lie in the windows of the loads."""
+        if isinstance(dictionary, str):
+            make = {"dirac": dirac, "wavelet": wavelet}.get(dictionary)
+            kept = (bspline(self.samples, int(knots or 1)) if make is None else make(self.samples)).within(mask)
+        else:
+            kept = np.asarray(dictionary, float)
+            kept = kept[:, ~np.any(kept[~mask] != 0, axis=0)] if len(kept) == self.samples else kept
+        if not kept.shape[1] or not np.any(kept):
+            refuse(f"no waveform of {dictionary if isinstance(dictionary, str) else 'the matrix'!r} within it",
+                   "a longer window, or dictionary='dirac'")  # fmt: skip
+        return np.asarray(kept)
+
+    def holds(self, knots: int) -> bool:
+        """Whether a B-spline of this spacing finds room."""
+        mask = self.acting
+        return mask is None or knots == 1 or bool(bspline(self.samples, knots).within(mask).shape[1])
+
     def path(self, atoms: Atoms, nonnegative: bool, groups: Groups | None = None) -> SparsePath:
         """The problem on a dictionary."""
         return SparsePath(atoms, self.y, nonnegative=nonnegative, groups=groups, data=self.data)
 
     def beginning(self) -> Problem:
         """The first part of a long record, with enough of its energy: the structure is at rest before it."""
-        if self.samples <= SEGMENT:
+        if self.samples <= SEGMENT or self.acting is not None:
             return self
         energy = np.cumsum(np.sum(self.y**2, axis=1))
         reached = int(np.searchsorted(energy, ONSET * energy[-1])) + SEGMENT // 4
@@ -144,7 +168,8 @@ def pose(model: Model, data: Data, posing: PosingSettings) -> Problem:
     if model.sampled:
         if not np.any(data.missing):
             white = coloured(model, data, posing)
-            return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise)
+            return Problem(white.h, white.y, None, white.raw[:, data.rows], data.values, data.missing, white.noise,
+                           posing.acting(len(data.values), data.dt))  # fmt: skip
         h, lines = measured_response(model, data, posing)
         late, level = 0, np.sqrt(np.mean(lines.power, axis=0) / len(data.values))
         noise = noises.NoiseLevel(level, lines.known, lines.source)
@@ -154,7 +179,7 @@ def pose(model: Model, data: Data, posing: PosingSettings) -> Problem:
         late = shift(h[:, data.rows], model, posing.allow)
         noise = noises.resolve(posing.noise, model, data)
         raw = h[late:, data.rows]
-    values = data.values[late:]
+    values, mask = data.values[late:], posing.acting(len(data.values) - late, data.dt)
     missing: NDArray[np.bool_] = np.asarray(data.missing)[late:]
     if missing.any() and np.ndim(noise.level) == 2:
         missing = np.repeat(np.any(missing, axis=1)[:, None], missing.shape[1], axis=1)
@@ -165,7 +190,7 @@ def pose(model: Model, data: Data, posing: PosingSettings) -> Problem:
         weight = (~missing).astype(float)
         weight = weight if weight.shape == y.shape else np.repeat(weight[:, :1], y.shape[1], axis=1)
         y = y * weight
-    return Problem(rows, y, weight, raw, values, missing, noise)
+    return Problem(rows, y, weight, raw, values, missing, noise, mask)
 
 
 @dataclass(frozen=True)
@@ -277,13 +302,13 @@ def _swept(
     if wanted.named == "bspline":
         knots: Any = wanted.knots
         if knots is None or (isinstance(knots, str) and knots == "scan"):
-            knots = [k for k in KNOTS if k <= max(first.samples // 8, 2)]
+            knots = [k for k in KNOTS if k <= max(first.samples // 8, 2) and first.holds(k)]
         spacings = [int(knots)] if isinstance(knots, int | np.integer) else [int(k) for k in knots]
         beside: list[int] = []
     else:
         spacings = [1]
         beside = (
-            [k for k in WIDER if k <= first.samples // 8]
+            [k for k in WIDER if k <= first.samples // 8 and first.holds(k)]
             if wanted.named == "dirac" and wanted.penalty.groups is None
             else []
         )

@@ -72,6 +72,18 @@ class Dictionary:
             at += f.count
         return g
 
+    def within(self, mask: Flags) -> Array:
+        """Those columns of D, (samples, kept), that are zero wherever `mask` (samples,) is False."""
+        outside, kept = np.concatenate([[0], np.cumsum(~mask)]), []
+        for f in self.families:
+            for first in f.first + f.step * np.arange(f.count):
+                low, high = max(int(first), 0), min(int(first) + len(f.waveform), self.samples)
+                if low < high and outside[high] == outside[low]:
+                    column = np.zeros(self.samples)
+                    column[low:high] = f.waveform[low - first : high - first]
+                    kept.append(column)
+        return np.array(kept).reshape(len(kept), self.samples).T
+
     def analyse(self, g: Array) -> Array:
         """D^T g: histories (samples, loads) to coefficients (atoms, loads)."""
         x = np.zeros((self.atoms, g.shape[1]))

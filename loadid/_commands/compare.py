@@ -1,0 +1,414 @@
+"""``loadid compare``: what the rules for lambda and the families make of one record, in one table."""
+
+from __future__ import annotations
+
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from structures.errors import InputError, NotIdentifiable
+from structures.files import _storage as storage
+
+from . import (
+    Bar,
+    Command,
+    add_log_options,
+    channels,
+    emit,
+    load_model,
+    one_record,
+    require_outputs,
+    settings,
+    table,
+)
+from ._inputs import noise, predicted
+from ._settings import level
+from .identify import responses_of
+
+if TYPE_CHECKING:
+    from structures._model import Model
+
+    from .._record import Record
+    from .._results.estimate import LoadEstimate
+
+KIND = "comparison"
+HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, settings, prior of `recommend`
+    "deconvolution": ("deconvolution", {}, "tikhonov"),
+    "smooth": ("deconvolution", {"variance": "smooth"}, ""),
+    "first difference": ("deconvolution", {"penalty": "first_difference"}, ""),
+    "second difference": ("deconvolution", {"penalty": "second_difference"}, ""),
+    "pushing": ("deconvolution", {"nonnegative": True}, ""),
+    "spikes": ("sparse", {"dictionary": "dirac"}, "spikes"),
+    "B-splines": ("sparse", {"dictionary": "bspline"}, "pulses"),
+    "tracker": ("tracker", {"prior": "matern32"}, "matern32"),
+    "frequency lines": ("frequency", {"signal": "transient"}, ""),
+}
+STATICS: dict[str, tuple[str, dict[str, Any], str]] = {
+    name: ("static", {"penalty": name}, "") for name in ("identity", "gradient", "laplacian", "second_difference")
+}
+
+
+@dataclass(frozen=True)
+class FamilyRow:
+    """What one family makes of a record; numbers are None where it was refused, or does not give them.
+
+    Parameters
+    ----------
+    name : str
+    peak, std : float
+        Largest load and its std, in the unit of the load.
+    impulse : float
+        Integral of the load with the largest peak over the record (unit s); None of static loads.
+    band : float
+        Rms std over the rms of the load.
+    fit : float
+        Rms of the residual over that of the response.
+    held_out : float
+        Prediction error of the sensors that were kept out, relative, the largest.
+    criterion : float
+        Information criterion of its prior above the best (`loadid.recommend`).
+    cost : float
+        CPU seconds.
+    refused : str
+        Why, in words; "" where it answered.
+    """
+
+    name: str
+    peak: float | None = None
+    std: float | None = None
+    impulse: float | None = None
+    band: float | None = None
+    fit: float | None = None
+    held_out: float | None = None
+    criterion: float | None = None
+    cost: float | None = None
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class RuleRow:
+    """Lambda of one rule, and the largest load there."""
+
+    rule: str
+    lam: float | None
+    edge: bool
+    edf: float | None
+    residual: float | None
+    peak: float | None
+    note: str
+
+
+@dataclass(frozen=True)
+class RecordComparison:
+    """Families and rules beside each other.
+
+    Parameters
+    ----------
+    load : str
+        Label and unit of the load whose peak is listed.
+    kept_out : tuple of str
+        Sensors that were predicted.
+    families : tuple of FamilyRow
+    rules : tuple of RuleRow
+        On the path of the plain family.
+    verdict : str
+        How far the rules agree.
+    estimates : dict of str to LoadEstimate
+        Of those that answered.
+    """
+
+    load: str
+    kept_out: tuple[str, ...]
+    families: tuple[FamilyRow, ...]
+    rules: tuple[RuleRow, ...]
+    verdict: str
+    estimates: dict[str, LoadEstimate]
+
+    def __str__(self) -> str:
+        return "\n".join([*self._tables()])
+
+    def _tables(self) -> list[str]:
+        kept = f", kept out: {', '.join(self.kept_out)}" if self.kept_out else ""
+        said = [f"families, {self.load}{kept}", table([list(FAMILY_HEAD), *map(_family_cells, self.families)])]
+        said += [f"refused: {r.name}: {r.refused}" for r in self.families if r.refused]
+        if self.rules:
+            said += [
+                f"rules of the plain family: {self.verdict}",
+                table([list(RULE_HEAD), *map(_rule_cells, self.rules)]),
+            ]
+        return said
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, texts and numbers."""
+        return {
+            "load": self.load, "kept_out": list(self.kept_out), "verdict": self.verdict,
+            "families": [asdict(row) for row in self.families], "rules": [asdict(row) for row in self.rules],
+        }  # fmt: skip
+
+
+FAMILY_HEAD = ("family", "peak", "± std", "impulse", "band", "fit", "held out", "criterion", "CPU s")
+RULE_HEAD = ("rule", "lambda", "edf", "residual", "peak", "note")
+
+
+def _family_cells(row: FamilyRow) -> list[str]:
+    return [row.name, _short(row.peak), _short(row.std), _short(row.impulse), _share(row.band), _share(row.fit),
+            _share(row.held_out), _short(row.criterion), _short(row.cost)]  # fmt: skip
+
+
+def _rule_cells(row: RuleRow) -> list[str]:
+    note = ("at an end of the sweep; " if row.edge else "") + row.note
+    return [row.rule, _short(row.lam), _short(row.edf), _short(row.residual), _short(row.peak), note.rstrip("; ")]
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
+def compare(
+    log: str | Path | Record,
+    model: str | Path | Model,
+    *,
+    families: Sequence[str] | None = None,
+    validation: Sequence[str] | None = None,
+    noise: Any = None,
+    progress: Callable[[float, str], None] | None = None,
+    **reading: Any,
+) -> RecordComparison:
+    """Every family and every rule on one record.
+
+    Parameters
+    ----------
+    log : path or Record
+    model : path or Model
+    families : sequence of str, optional
+        Names of `HISTORIES` or `STATICS`; default all that are of the kind of the data.
+    validation : sequence of str, optional
+        Sensors that are kept out and predicted; default the last one, where there are more sensors than loads.
+    noise : float, list or mapping of sensor to std, optional
+    progress : callable, optional
+    **reading
+        As for `loadid.read`.
+
+    Raises
+    ------
+    InputError
+        From the reader or the model, a family that is none. What a family refuses is a row of the table.
+    """
+    from .._families.automatic import kind_of
+    from .._readers import read
+
+    known = load_model(model) if isinstance(model, str | Path) else model
+    record = read(log, **reading) if isinstance(log, str | Path) else log
+    kind = kind_of(known, record)
+    every = STATICS if kind == "static" else HISTORIES
+    if kind == "lines":
+        every = {"frequency lines": HISTORIES["frequency lines"]}
+    for name in families or ():
+        if name not in every:
+            raise InputError("no such family for these data", where="families", found=repr(name)[:80],
+                             expected=", ".join(every))  # fmt: skip
+    chosen = {name: every[name] for name in families or every}
+    labels = [s.label for s in known.sensors]
+    kept = list(validation) if validation is not None else labels[-1:] if len(labels) > len(known.loads) else []
+    record = responses_of(record, known, None)
+    told = progress or (lambda fraction, text: None)
+    criteria = _criteria(known, record, noise, labels) if kind == "history" else {}
+    rows, found = [], {}
+    for k, (name, (family, own, prior)) in enumerate(chosen.items()):
+        told((k + 0.5) / (len(chosen) + 1), name)
+        row, estimate = _row(name, family, own, known, record, kept, noise)
+        if prior in criteria and not row.refused:
+            row = FamilyRow(**{**asdict(row), "criterion": criteria[prior]})
+        rows.append(row)
+        if estimate is not None:
+            found[name] = estimate
+    told(0.95, "rules")
+    rules, verdict = _rules(known, record, noise, labels, kind)
+    first = next(iter(found.values()), None)
+    load = "no family answered" if first is None else f"largest load ({first.units[0]})"
+    told(1.0, "done")
+    return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found)
+
+
+def _row(
+    name: str, family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any
+) -> tuple[FamilyRow, LoadEstimate | None]:  # fmt: skip
+    """One family on all sensors, and once more without those that are predicted."""
+    import numpy as np
+
+    from .identify import identify
+
+    begun = time.process_time()
+    try:
+        e = identify(record, model, family=family, noise=level, **own)
+    except (InputError, NotIdentifiable) as error:
+        return FamilyRow(name, refused=str(error.what), cost=time.process_time() - begun), None
+    cost = time.process_time() - begun
+    at = np.unravel_index(int(np.argmax(np.abs(e.load))), e.load.shape)
+    size, response = np.sqrt(np.mean(np.abs(e.load) ** 2)), np.asarray(e.response)
+    impulse = None
+    if family != "static" and e.axis is not None and e.axis.name == "time":
+        impulse = float(np.sum(e.load[:, at[-1]]) * e.over("time").step)
+    return FamilyRow(
+        name, float(np.real(e.load[at])), float(e.std[at]), impulse,
+        float(np.sqrt(np.mean(e.std**2)) / size) if size > 0 else None,
+        float(np.linalg.norm(np.asarray(e.residual)) / max(float(np.linalg.norm(response)), 1e-300)),
+        _predicted(family, own, model, record, kept, level), None, cost,
+    ), e  # fmt: skip
+
+
+def _predicted(
+    family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any
+) -> float | None:
+    """Largest relative error of the sensors that are kept out; None where there are none, or the rest is refused."""
+    from .identify import identify
+
+    if not kept:
+        return None
+    rest = [s.label for s in model.sensors if s.label not in kept]
+    try:
+        e = identify(record, model, family=family, sensors=rest, noise=level, **own)
+        return max(predicted(e, model, record, kept).values())
+    except (InputError, NotIdentifiable):
+        return None
+
+
+def _criteria(model: Model, record: Record, level: Any, labels: list[str]) -> dict[str, float]:
+    """Criterion of each prior above the best; empty where the model carries no process."""
+    from .._families.recommend import recommend
+
+    try:
+        return recommend(model, record, noise=noise(level, labels, labels)).evidence
+    except (InputError, NotIdentifiable):
+        return {}
+
+
+def _rules(model: Model, record: Record, level: Any, labels: list[str], kind: str) -> tuple[tuple[RuleRow, ...], str]:
+    """What each rule says on the path of the plain family, and the largest load there."""
+    import numpy as np
+
+    from .. import paths
+    from .._families.data import gather, readings
+    from .._families.deconvolution import Deconvolution
+    from .._families.posing import pose
+    from .._families.static import StaticInversion
+
+    stated = noise(level, labels, labels)
+    try:
+        if kind == "static":
+            posed: Any = StaticInversion(model, noise=stated).pose(readings(record, model, None))
+        elif kind == "history":
+            family = Deconvolution(model, noise=stated)
+            posed = pose(model, gather(record, None, model, None, allow_missing=True), family.settings)
+        else:
+            return (), ""
+        found = paths.compare(posed.path, posed.noise.sigma, posed.noise.source)
+    except (InputError, NotIdentifiable) as error:
+        return (), f"none: {error.what}"
+
+    def peak(lam: float | None) -> float | None:
+        if lam is None:
+            return None
+        load = np.asarray(posed.path.solution(lam, None).load)
+        return float(load.reshape(-1)[int(np.argmax(np.abs(load)))])
+
+    rows = tuple(RuleRow(r.rule, r.lam, r.edge, r.edf, r.residual, peak(r.lam), r.note) for r in found.rows)
+    return rows, f"{found.verdict}, {found.spread:.2f} decades apart"
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+def _configure(parser: ArgumentParser) -> None:
+    parser.add_argument("log", metavar="LOG", help="log with the responses")
+    parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file")
+    parser.add_argument("-o", "--output", metavar="PAGE.html|TABLE.h5", help="also write a page, or the numbers")
+    parser.add_argument("--families", type=channels, metavar="NAME,...",
+                        help=f"default all of the kind of the data: {', '.join(HISTORIES)}")  # fmt: skip
+    parser.add_argument("--validation", type=channels, metavar="CH,...",
+                        help="sensors that are kept out and predicted; default the last, if one is spare")  # fmt: skip
+    parser.add_argument("--noise", type=level, metavar="STD|CH=STD,...", help="noise std of the sensors in SI")
+    parser.add_argument("--plot", metavar="PICTURE", help="also write a picture of the loads (png, svg, pdf)")
+    add_log_options(parser)
+
+
+def _run(args: Namespace) -> int:
+    suffix = None if args.output is None else Path(args.output).suffix.lower()
+    if suffix not in (None, ".html", ".htm", ".h5"):
+        raise InputError("no such kind of file", where=f"-o {args.output}", found=suffix, expected=".html or .h5")
+    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model])
+    with Bar() as bar:
+        found = compare(args.log, args.model, families=args.families, validation=args.validation, noise=args.noise,
+                        progress=bar, record=one_record(args), **settings(args))  # fmt: skip
+    ready: list[tuple[str, bytes]] = []
+    if args.plot is not None:
+        ready.append((args.plot, _picture(found, args.plot)))
+    if suffix in (".html", ".htm"):
+        ready.append((args.output, _page(found, str(args.log)).encode()))
+    if suffix == ".h5":
+        storage.write(args.output, found.to_dict(), KIND)
+    for path, data in ready:
+        storage.replace(Path(path), data)
+    written = [path for path in (args.output, args.plot) if path is not None]
+    said = [str(found), *([f"written: {', '.join(map(str, written))}"] if written else [])]
+    emit(args, {**found.to_dict(), "written": [str(path) for path in written]}, "\n".join(said))
+    return 0
+
+
+def _picture(found: RecordComparison, path: str | Path) -> bytes:
+    """The loads of all families over each other, the load with the largest peak."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from .._plots import rendered
+
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, e in found.estimates.items():
+        load = np.real(np.atleast_2d(e.load))
+        j = int(np.argmax(np.max(np.abs(load), axis=0))) if e.axis is not None else 0
+        if e.axis is not None and len(load) > 1:
+            axes.plot(e.axis.values, load[:, j], label=name, lw=1)
+        else:
+            axes.plot(np.arange(load.shape[1]), load[0], ".-", label=name, lw=1)
+    axes.set_xlabel("time (s)" if any(e.axis is not None for e in found.estimates.values()) else "load")
+    axes.set_ylabel(found.load)
+    if found.estimates:
+        axes.legend(fontsize=8)
+    return bytes(rendered(figure, path))
+
+
+def _page(found: RecordComparison, log: str) -> str:
+    """A page of its own: both tables, and the picture."""
+    picture = _picture(found, "loads.svg").decode("utf-8", "replace")
+    picture = picture[picture.find("<svg") :]
+
+    def rows(head: Sequence[str], cells: Sequence[Sequence[str]]) -> str:
+        top = "".join(f"<th>{escape(text)}</th>" for text in head)
+        body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in cells)
+        return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+    refused = "".join(f"<li>{escape(r.name)}: {escape(r.refused)}</li>" for r in found.families if r.refused)
+    kept = f", kept out: {escape(', '.join(found.kept_out))}" if found.kept_out else ""
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        'content="width=device-width,initial-scale=1"><title>Families and rules</title><style>'
+        "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
+        "table{border-collapse:collapse;display:block;overflow-x:auto}td,th{padding:.2rem .7rem;text-align:right;"
+        "border-bottom:1px solid #ccc}td:first-child,th:first-child{text-align:left}svg{max-width:100%;height:auto}"
+        "@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}svg{background:#fff}}</style></head><body>"
+        f"<h1>Families and rules</h1><p>{escape(log)}; {escape(found.load)}{kept}</p>"
+        f"{rows(FAMILY_HEAD, [_family_cells(r) for r in found.families])}"
+        f"{'<p>Refused:</p><ul>' + refused + '</ul>' if refused else ''}{picture}"
+        f"<h2>Rules for lambda</h2><p>{escape(found.verdict)}</p>"
+        f"{rows(RULE_HEAD, [_rule_cells(r) for r in found.rules])}</body></html>"
+    )
+
+
+command = Command("compare", "families and rules on one record, in one table", _configure, _run)
