@@ -121,7 +121,9 @@ class MeasuredModes:
     def mac(self) -> Real:
         """Modal assurance criterion of the shapes among each other (modes, modes): near 0 where sensors part them."""
         size = np.linalg.norm(self.shapes, axis=0)
-        return np.asarray(np.abs(self.shapes.conj().T @ self.shapes) ** 2 / np.outer(size, size) ** 2)
+        return np.asarray(
+            np.abs(np.einsum("si,sj->ij", self.shapes.conj(), self.shapes)) ** 2 / np.outer(size, size) ** 2
+        )
 
     def model(self, loads: Sequence[str] | None = None) -> ModalModel:
         """Forward model of the modes, for every family that a `ForwardModel` serves.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import ABOVE_DAMPING, BELOW_DAMPING, FrfBand, ModalFit, outside, real_rows
+from .modalfit import ABOVE_DAMPING, BELOW_DAMPING, FrfBand, ModalFit, outside, real_rows, root_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -166,10 +166,8 @@ def _errors(band: FrfBand, q: Complex, g: list[Complex], residues: Real, poles: 
     covariance, slope = np.zeros((*residues.shape[:2], size, size)), np.zeros((*residues.shape[:2], size, 2 * n))
     for o, j in np.ndindex(*residues.shape[:2]):
         w = 1 / band.std[:, o, j, None]
-        rows = real_rows(columns * w)
-        scale = np.linalg.norm(rows, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        root = linalg.pinv(linalg.qr(rows / scale, mode="r", check_finite=False)[0][:size]) / scale[:, None]
+        rows = real_rows(np.asarray(columns * w, complex))
+        root = root_of(linalg.qr(rows, mode="r", check_finite=False)[0][:size])
         covariance[o, j] = root @ root.T
         own = real_rows(np.asarray(moved * np.tile(residues[o, j], 2) * w, complex))
         slope[o, j] = -root @ (root.T @ (rows.T @ own))
