@@ -33,7 +33,7 @@ SMALL = 1e-6  # of the rms of an entry, below which its std is not believed
 MISFIT = 1.5  # mean squared residual over the stated variance, above which the residuals say what the std is
 VAGUE = 0.2  # relative std of a damping ratio
 SURE, BROAD = 0.05, 0.1  # relative std of its decay, and damping ratio, up to which an added pole is a mode
-NARROW = 4.0  # lines within the half-power bandwidth: three of them make damping 2 % too large by a Hann window
+NARROW = 4.0  # lines within the half-power bandwidth, below which a Hann window makes damping too large
 LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
