@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from structures import MeasuredModes
     from structures._model import Model
 
-SHOWN = 12  # sensors or loads whose shapes are printed
-
 
 def pair(text: str) -> tuple[str, str]:
     """``"a1,F"`` as a sensor and a load."""
@@ -116,15 +114,19 @@ def show(data: dict[str, Any]) -> str:
         rows.append([str(k + 1), f"{m['frequency']:.6g}", f"{m['frequency_std']:.2g}", f"{100 * m['damping']:.4g}",
                      f"{100 * m['damping_std']:.2g}", f"{m['mpc']:.3f}", *mass])  # fmt: skip
     lines = [
-        f"{len(data['modes'])} modes from {data['band'][0]:.5g} to {data['band'][1]:.5g} Hz; "
-        f"{len(data['sensors'])} sensors, {len(data['loads'])} loads",
+        _head(data),
         table(rows),
-        f"  left out: {data['unstable_poles']} poles that grow, over all orders; "
-        f"{data['dropped']} that explain nothing",
+        f"  left out: {data['unstable_poles']} poles that grow, {data['dropped']} that explain nothing",
     ]
     if not data["scaled"]:
         lines.append("  no driven point: the model knows the forces of the test alone (--driven SENSOR,LOAD)")
     return "\n".join(lines)
+
+
+def _head(data: dict[str, Any]) -> str:
+    low, high = data["band"]
+    sizes = f"{len(data['sensors'])} sensors, {len(data['loads'])} loads"
+    return f"{len(data['modes'])} modes from {low:.5g} to {high:.5g} Hz; {sizes}"
 
 
 def _configure(parser: ArgumentParser) -> None:

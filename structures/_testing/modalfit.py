@@ -310,12 +310,19 @@ def correlation(white: Complex) -> Real:
     return np.array(found)
 
 
-def _covariance(R: Real, slopes: list[Complex], rho: Real) -> Real:
-    """Covariance of the unknowns at unit std, errors of neighbouring lines correlated: ``N^-1 M N^-1``."""
+def root_of(R: Real) -> Real:
+    """Root (unknowns, rank) of the covariance of least squares with these rows or their triangle, at unit std."""
     scale = np.linalg.norm(R, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    root = linalg.pinv(R / scale, check_finite=False) / scale[:, None]  # N^-1 = root root^T
-    middle = np.eye(len(R.T))
+    sizes, Vt = linalg.svd(R / scale, full_matrices=False, check_finite=False)[1:]
+    good = sizes > 1e-12 * sizes[0]
+    return np.asarray(Vt[good].T / sizes[good] / scale[:, None])
+
+
+def _covariance(R: Real, slopes: list[Complex], rho: Real) -> Real:
+    """Covariance of the unknowns at unit std, errors of neighbouring lines correlated: ``N^-1 M N^-1``."""
+    root = root_of(R)
+    middle = np.eye(root.shape[1])
     for J in slopes:
         half = np.einsum("lju,uv->ljv", J, root)
         for lag, value in enumerate(rho, start=1):

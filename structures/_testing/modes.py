@@ -32,7 +32,8 @@ LEAST = 16  # lines of a band
 SMALL = 1e-6  # of the rms of an entry, below which its std is not believed
 MISFIT = 1.5  # mean squared residual over the stated variance, above which the residuals say what the std is
 VAGUE = 0.2  # relative std of a damping ratio
-NARROW = 4.0  # lines within the half-power bandwidth: three of them make damping 2 % too large by a Hann window
+SURE, BROAD = 0.05, 0.1  # relative std of its decay, and damping ratio, up to which an added pole is a mode
+NARROW = 4.0  # lines within the half-power bandwidth, below which a Hann window makes damping too large
 LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
@@ -58,7 +59,8 @@ class MeasuredModes:
         Modal phase collinearity of the shape over its sensors, or over its loads where there are more: 1 for a real
         shape.
     modal_mass, modal_mass_std : array (modes,)
-        In kg, for shapes whose largest entry over all places, read or driven, is 1; NaN without a driven point, or where it gives no positive mass.
+        In kg, for shapes whose largest entry over all places, read or driven, is 1; NaN without a driven point, or
+        where it gives no positive mass.
     lower, upper : array (sensors, loads)
         What modes below the band give far above them, 1/kg for a displacement, and what those above it give far below
         them, m/N.
@@ -119,7 +121,9 @@ class MeasuredModes:
     def mac(self) -> Real:
         """Modal assurance criterion of the shapes among each other (modes, modes): near 0 where sensors part them."""
         size = np.linalg.norm(self.shapes, axis=0)
-        return np.asarray(np.abs(self.shapes.conj().T @ self.shapes) ** 2 / np.outer(size, size) ** 2)
+        return np.asarray(
+            np.abs(np.einsum("si,sj->ij", self.shapes.conj(), self.shapes)) ** 2 / np.outer(size, size) ** 2
+        )
 
     def model(self, loads: Sequence[str] | None = None) -> ModalModel:
         """Forward model of the modes, for every family that a `ForwardModel` serves.
@@ -230,8 +234,12 @@ def identify_modes(
     fit, dropped = selected(fitted_band, poles, participation)
     if not weights_known or fit.misfit > MISFIT:
         fitted_band = reweighted(fitted_band, fit.residual, known=weights_known)
-        fit, more = selected(fitted_band, fit.poles, fit.participation, fit.stayed)
-        dropped += more
+        poles, participation, again = _start(fitted_band, order)  # weak modes stay where the weights are right
+        if len(poles) >= np.sum(fit.stayed):
+            found, (fit, dropped) = again, selected(fitted_band, poles, participation)
+        else:
+            fit, more = selected(fitted_band, fit.poles, fit.participation, fit.stayed)
+            dropped += more
     fit, inside = _sorted(fit, fitted_band)
     if not inside:
         raise _nothing(found)
@@ -353,9 +361,15 @@ def _start(band: FrfBand, order: int | None) -> tuple[Complex, Complex, Stabilis
 
 
 def _sorted(fit: ModalFit, band: FrfBand) -> tuple[ModalFit, int]:
-    """Modes of the band that stay over the orders first, by frequency, and how many they are."""
+    """Modes of the band first, by frequency, and how many they are.
+
+    Those that stay over the orders, and those that the residual added and that are known well, where noise explains
+    the rest.
+    """
     f = np.abs(fit.poles) / (2 * np.pi)
-    within = fit.stayed & (f >= band.f[0]) & (f <= band.f[-1])
+    std = np.sqrt(np.diag(fit.covariance))[: len(f)]
+    known = (std < SURE * np.abs(fit.poles.real)) & (-fit.poles.real < BROAD * np.abs(fit.poles))
+    within = (fit.stayed | (known & (fit.misfit < MISFIT))) & (f >= band.f[0]) & (f <= band.f[-1])
     rank = np.lexsort((f, ~within))
     both = np.concatenate([rank, len(rank) + rank])
     moved = replace(
@@ -438,11 +452,10 @@ def _masses(
         product = sign * S[:, i] * B[:, j]  # square of the shape of unit mass at the driven points
         square = product.sum(axis=1) / np.maximum(np.sum(S[:, i] ** 2, axis=1), np.finfo(float).tiny)
         scale = np.where(square > 0, np.sqrt(np.maximum(square, 0)), np.nan)
-        own = j if turned else i
-        size = np.abs(S[:, i] if not turned else B[:, j])
-        std = np.sqrt(np.array([[real.covariance[o, k, k] for o in own] for k in range(n)]).reshape(n, -1))
-        slope = np.array([[real.slope[o, k] @ real.poles_covariance @ real.slope[o, k] for o in own] for k in range(n)])
-        std = np.sqrt(std**2 + slope.reshape(n, -1))
+        at = (j, i) if turned else (i, j)
+        size, slope = np.abs(S[:, i] * B[:, j]), real.slope[at]
+        power = np.einsum("ekp,pr,ekr->ke", slope, real.poles_covariance, slope)[:n]
+        std = np.sqrt(np.einsum("ekk->ke", real.covariance[at])[:n] + power)
         relative = np.min(std / np.maximum(size, np.finfo(float).tiny), axis=1)
     top = np.maximum(np.max(np.abs(S), axis=1, initial=0) * scale, np.max(np.abs(B), axis=1, initial=0) / scale)
     mass = 1 / np.where(top > 0, top, np.nan) ** 2

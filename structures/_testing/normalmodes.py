@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import ABOVE_DAMPING, BELOW_DAMPING, FrfBand, ModalFit, outside, real_rows
+from .modalfit import ABOVE_DAMPING, BELOW_DAMPING, FrfBand, ModalFit, outside, real_rows, root_of
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,9 +32,9 @@ class NormalFit:
         Theirs in Hz.
     low : array of bool (resonators,)
         Those below the band.
-    covariance : array (outputs, linear unknowns, linear unknowns)
-        Of shapes and rest (resonator by resonator, its references in turn) of each output for given poles.
-    slope : array (outputs, linear unknowns, 2 modes)
+    covariance : array (outputs, references, unknowns, unknowns)
+        Of residues and rest of each entry for given poles, as if entries shared no shape: rather too large.
+    slope : array (outputs, references, unknowns, 2 modes)
         How these follow the real parts of the poles, and their imaginary parts.
     poles_covariance : array (2 modes, 2 modes)
     share : float
@@ -63,16 +63,12 @@ class NormalFit:
         q, d = lines_of(s, self.poles, derivative), slopes_of(s, self.poles, derivative)
         ends = [*self.frequencies]
         g = _rest_lines(s, ends, self.low, derivative)
-        n, references = self.participation.shape
-        out = np.empty((len(f), self.shapes.shape[1], references))
-        for j in range(references):
-            columns = np.zeros((len(f), n + len(ends) * references), complex)
-            columns[:, :n] = q * self.participation[:, j]
-            columns[:, n + j :: references] = g
-            for o in range(out.shape[1]):
-                own = d * np.tile(self.shapes[:, o] * self.participation[:, j], 2) + columns @ self.slope[o]
-                out[:, o, j] = np.einsum("li,ij,lj->l", columns, self.covariance[o], columns.conj()).real
-                out[:, o, j] += np.einsum("li,ij,lj->l", own, self.poles_covariance, own.conj()).real
+        columns = np.concatenate([q, g], axis=1)
+        out = np.empty((len(f), self.shapes.shape[1], self.participation.shape[1]))
+        for o, j in np.ndindex(*out.shape[1:]):
+            own = d * np.tile(self.shapes[:, o] * self.participation[:, j], 2) + columns @ self.slope[o, j]
+            out[:, o, j] = np.einsum("li,ij,lj->l", columns, self.covariance[o, j], columns.conj()).real
+            out[:, o, j] += np.einsum("li,ij,lj->l", own, self.poles_covariance, own.conj()).real
         return np.maximum(out, 0.0)
 
 
@@ -101,10 +97,10 @@ def normal(band: FrfBand, fit: ModalFit) -> NormalFit:
     phase = 0.5 * np.angle(np.sum(fit.participation**2, axis=1))
     b = _turned((fit.participation * np.exp(-1j * phase[:, None])).real)
     for turn in range(ROUNDS if references > 1 else 1):
-        shapes, rest = _shapes(band, q, g, b)[:2]
+        shapes, rest, residual = _shapes(band, q, g, b)
         if references > 1 and turn < ROUNDS - 1:
             b = _turned(_participation(band, q, g, shapes, rest))
-    shapes, rest, covariance, slope, residual = _shapes(band, q, g, b, fit.poles)
+    covariance, slope = _errors(band, q, g, np.einsum("ko,kj->ojk", shapes, b), fit.poles)
     power = np.sum(np.abs(residual / band.std) ** 2)
     whole = float(np.sum(np.abs(band.H / band.std) ** 2))
     own = float(np.sum(np.abs(fit.residual / band.std) ** 2))
@@ -133,34 +129,49 @@ def _columns(q: Complex, g: list[Complex], b: Real) -> Complex:
     return np.concatenate([q[:, None, :] * b.T[None], rest], axis=2)
 
 
-def _shapes(
-    band: FrfBand, q: Complex, g: list[Complex], b: Real, poles: Complex | None = None
-) -> tuple[Real, Real, Real, Real, Complex]:
-    """Shapes (modes, outputs), rest, and with poles what their errors are and the residual."""
+def _shapes(band: FrfBand, q: Complex, g: list[Complex], b: Real) -> tuple[Real, Real, Complex]:
+    """Shapes (modes, outputs), rest (resonators, outputs, references) and residual for given participations."""
     n, (_, outputs, references) = len(b), band.H.shape
     columns = _columns(q, g, b)
-    size = columns.shape[2]
-    x, residual = np.zeros((outputs, size)), np.empty_like(band.H)
-    covariance, slope = np.zeros((outputs, size, size)), np.zeros((outputs, size, 2 * n))
-    moved = None if poles is None else slopes_of(band.s, poles, band.derivative)
+    x, residual = np.zeros((outputs, columns.shape[2])), np.empty_like(band.H)
     for o in range(outputs):
         w = 1 / band.std[:, o, :, None]
         rows = real_rows(columns * w)
         scale = np.linalg.norm(rows, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
-        rest = real_rows(band.H[:, o, :, None] * w)
-        if moved is not None:
-            own = moved[:, None, :] * (np.tile(np.ones(n), 2) * np.tile(b.T, (1, 2)))[None]
-            rest = np.hstack([rest, real_rows(own * w)])
-        found = linalg.lstsq(rows / scale, rest, cond=1e-12, check_finite=False)[0] / scale[:, None]
-        x[o] = found[:, 0]
+        data = real_rows(band.H[:, o, :, None] * w)[:, 0]
+        x[o] = linalg.lstsq(rows / scale, data, cond=1e-12, check_finite=False)[0] / scale
         residual[:, o] = band.H[:, o] - columns @ x[o]
-        if moved is not None:
-            slope[o] = -found[:, 1:] * np.tile(x[o, :n], 2)
-            root = linalg.pinv(linalg.qr(rows / scale, mode="r", check_finite=False)[0][:size]) / scale[:, None]
-            covariance[o] = root @ root.T
     rest = x[:, n:].reshape(outputs, len(g), references).transpose(1, 0, 2)
-    return x[:, :n].T, rest, covariance, slope, residual
+    return x[:, :n].T, rest, residual
+
+
+def _errors(band: FrfBand, q: Complex, g: list[Complex], residues: Real, poles: Complex) -> tuple[Real, Real]:
+    """Covariance of residue and rest of each entry at unit std, and how they follow the poles.
+
+    Parameters
+    ----------
+    residues : array (outputs, references, modes)
+
+    Returns
+    -------
+    covariance : array (outputs, references, unknowns, unknowns)
+    slope : array (outputs, references, unknowns, 2 modes)
+    """
+    columns, moved = (
+        np.concatenate([q, np.array(g).reshape(len(g), -1).T], axis=1),
+        slopes_of(band.s, poles, band.derivative),
+    )
+    n, size = q.shape[1], columns.shape[1]
+    covariance, slope = np.zeros((*residues.shape[:2], size, size)), np.zeros((*residues.shape[:2], size, 2 * n))
+    for o, j in np.ndindex(*residues.shape[:2]):
+        w = 1 / band.std[:, o, j, None]
+        rows = real_rows(np.asarray(columns * w, complex))
+        root = root_of(linalg.qr(rows, mode="r", check_finite=False)[0][:size])
+        covariance[o, j] = root @ root.T
+        own = real_rows(np.asarray(moved * np.tile(residues[o, j], 2) * w, complex))
+        slope[o, j] = -root @ (root.T @ (rows.T @ own))
+    return covariance, slope
 
 
 def _participation(band: FrfBand, q: Complex, g: list[Complex], shapes: Real, rest: Real) -> Real:

@@ -17,9 +17,9 @@ def two(first: float = 30.0, second: float = 60.0, turn: float = 0.0) -> tuple[F
     s, H = 2j * np.pi * LINES, np.zeros((len(LINES), 3, 1), complex)
     for f, shape, angle in ((first, SHAPES[:, 0], turn), (second, SHAPES[:, 1], 0.0)):
         w = 2 * np.pi * f
-        p = -0.01 * w + 1j * w
-        psi = -1j * shape / (2 * w) * np.exp(1j * angle * np.arange(3))
-        H[:, :, 0] += s[:, None] * (p * psi / (s[:, None] - p) + (p * psi).conj() / (s[:, None] - p.conj()))
+        p = -0.02 * w + 1j * w
+        psi = -1j * shape / (2 * w) * np.exp(1j * angle * np.arange(3)) * p
+        H[:, :, 0] += s[:, None] * (psi / (s[:, None] - p) + psi.conj() / (s[:, None] - p.conjugate()))
     rng = np.random.default_rng(0)
     std = 0.003 * np.sqrt(np.mean(np.abs(H) ** 2))
     H = H + std * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)

@@ -30,7 +30,7 @@ F = np.array([31.0, 52.0, 52.52, 88.0, 121.0, 160.0, 190.0, 230.0, 420.0])  # th
 Z = np.array([0.01, 0.005, 0.004, 0.002, 0.02, 0.05, 0.01, 0.01, 0.01])
 INSIDE = 7
 RNG = np.random.default_rng(11)
-SHAPES = RNG.standard_normal((8, len(F)))
+SHAPES = RNG.standard_normal((5, len(F)))
 DT = 1 / 2000
 
 
@@ -48,7 +48,7 @@ def table(noise: float = 0.01, seed: int = 0, *, count: int = 2, told: bool = Tr
     rng = np.random.default_rng(seed)
     H = H + std * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
     return FrfModel.from_frf(
-        LINES, H, kind="accelerance", sensors=[f"{i + 1}+Z" for i in range(8)],
+        LINES, H, kind="accelerance", sensors=[f"{i + 1}+Z" for i in range(5)],
         loads=[f"{j + 1}+Z" for j in range(count)], variance=np.full(H.shape, std**2) if told else None,
     )  # fmt: skip
 
@@ -73,7 +73,7 @@ def test_poles_without_noise_are_those_of_the_structure(count):
 
 
 def test_poles_of_noise_grow_and_are_left_out():
-    s = stabilisation(table(0.05).H, np.ones((len(LINES), 8)), LINES, 30)
+    s = stabilisation(table(0.05).H, np.ones((len(LINES), 5)), LINES, 30)
     assert s.unstable > 400
     assert np.all(s.poles.real < 0)
     assert len(s.chosen[0]) < 15
@@ -99,8 +99,8 @@ def test_std_of_poles_cover_the_truth():
     for seed in range(40):
         rng = np.random.default_rng(seed)
         noisy = H + std * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
-        band = FrfBand(LINES[::2], noisy[::2, :4], np.full((len(LINES[::2]), 4, 2), std), 2)
-        fit = fitted(band, start[:8], SHAPES[:2, :8].T.astype(complex), (500.0,), np.ones(8, bool))
+        band = FrfBand(LINES[::2], noisy[::2], np.full((len(LINES[::2]), 5, 2), std), 2)
+        fit = fitted(band, start[:7], SHAPES[:2, :7].T.astype(complex), (230.0, 420.0), np.ones(7, bool))
         off = fit.poles[:INSIDE] - start[:INSIDE]
         size = np.sqrt(np.diag(fit.covariance)).reshape(2, -1)[:, :INSIDE]
         errors.append(np.array([off.real, off.imag]) / size)
@@ -115,18 +115,17 @@ def test_correlated_lines_widen_the_std():
     std = 0.02 * np.sqrt(np.mean(np.abs(H) ** 2))
     w = 2 * np.pi * F
     start = -Z * w + 1j * w * np.sqrt(1 - Z**2)
-    white, smooth = [], []
-    for seed in range(24):
+    smooth = []
+    for seed in range(16):
         rng = np.random.default_rng(seed)
         e = rng.standard_normal((len(LINES) + 2, 3, 1)) + 1j * rng.standard_normal((len(LINES) + 2, 3, 1))
         e = (0.5 * e[1:-1] + 0.25 * (e[:-2] + e[2:])) / np.sqrt(2 * 0.375)
         band = FrfBand(LINES, H + std * e, np.full(H.shape, std), 2)
-        fit = fitted(band, start[:8], np.ones((8, 1), complex), (500.0,), np.ones(8, bool))
+        fit = fitted(band, start[:7], np.ones((7, 1), complex), (230.0, 420.0), np.ones(7, bool))
         assert abs(fit.correlation[0] - 2 / 3) < 0.06
         size = np.sqrt(np.diag(fit.covariance)).reshape(2, -1)
-        off = fit.poles - start[:8]
+        off = fit.poles - start[:7]
         smooth.append(np.array([off.real / size[0], off.imag / size[1]])[:, :4])
-        white.append(size)
     assert 0.8 < np.std(smooth) < 1.2  # without the correlation 1.4
 
 
@@ -173,7 +172,7 @@ def test_frf_impulse_response_and_state_space_are_one_system(found):
 
 
 def test_a_force_that_was_not_driven_needs_a_driven_point(found):
-    H = frf(loads=8)
+    H = frf(loads=5)
     G = found.model(["5+Z", "1+Z"]).frf(LINES)
     peaks = [np.argmin(np.abs(LINES - f)) for f in F[[0, 3, 4]]]
     for j, place in enumerate((4, 0)):
@@ -181,7 +180,7 @@ def test_a_force_that_was_not_driven_needs_a_driven_point(found):
         assert off < 0.1
     data = table(count=1)
     other = FrfModel(LINES, data.H, sensors=[Channel(label=f"a{i}", quantity="acceleration", unit="m/s^2")
-                                             for i in range(8)], loads=data.loads, variance=data.variance)  # fmt: skip
+                                             for i in range(5)], loads=data.loads, variance=data.variance)  # fmt: skip
     shapes = identify_modes(other)
     assert not shapes.scaled
     assert np.all(np.isnan(shapes.modal_mass))
@@ -193,13 +192,13 @@ def test_a_force_that_was_not_driven_needs_a_driven_point(found):
     assert identify_modes(other, driven=("a0", "1+Z")).scaled
 
 
-def test_a_roving_hammer_is_a_roving_sensor():
-    """One sensor and eight loads: FRFs turned round, the same modes."""
+def test_a_roving_hammer_is_a_roving_sensor(found):
+    """Two sensors and five loads: FRFs turned round, the same modes."""
     data = table()
     turned = FrfModel(LINES, data.H.transpose(0, 2, 1), variance=np.asarray(data.variance).transpose(0, 2, 1),
                       sensors=[Channel(label=c.label, quantity="acceleration", unit="m/s^2") for c in data.loads],
                       loads=[Channel(label=c.label, quantity="force", unit="N") for c in data.sensors])  # fmt: skip
-    one, two = identify_modes(data), identify_modes(turned)
+    one, two = found, identify_modes(turned)
     np.testing.assert_allclose(two.frequencies, one.frequencies, rtol=1e-9)
     np.testing.assert_allclose(two.modal_mass, one.modal_mass, rtol=1e-4)
     np.testing.assert_allclose(two.model().frf(LINES), one.model().frf(LINES).transpose(0, 2, 1), rtol=1e-4, atol=1e-4)
@@ -208,10 +207,9 @@ def test_a_roving_hammer_is_a_roving_sensor():
 
 
 def test_kinds_of_frf_give_the_same_modes():
-    data = table(0.002)
-    one, two = identify_modes(data), identify_modes(data.as_kind("mobility"))
-    np.testing.assert_allclose(two.frequencies, one.frequencies, rtol=1e-5)
-    np.testing.assert_allclose(two.damping, one.damping, rtol=3e-3)
+    found = identify_modes(table(0.002, count=1).as_kind("mobility"))
+    np.testing.assert_allclose(found.frequencies, F[:INSIDE], rtol=1e-3)
+    np.testing.assert_allclose(found.damping, Z[:INSIDE], rtol=0.05)
 
 
 def test_without_a_variance_the_residuals_tell_it():
@@ -234,7 +232,7 @@ def test_a_model_in_a_file_and_changed(found, tmp_path):
     np.testing.assert_allclose(some.frf_variance(LINES), model.frf_variance(LINES)[:, [3, 1]])
     softer = model.perturbed("stiffness", 0.81)
     np.testing.assert_allclose(softer.natural_frequencies, 0.9 * model.natural_frequencies)
-    np.testing.assert_allclose(model.perturbed("mass", 2.0).frf([100.0]).shape, (1, 8, 2))
+    np.testing.assert_allclose(model.perturbed("mass", 2.0).frf([100.0]).shape, (1, 5, 2))
     with pytest.raises(InputError, match="no such change"):
         model.perturbed("colour", 1.1)
 
@@ -300,7 +298,7 @@ def test_refusals():
         identify_modes(data, driven=("a", "b"))
     with pytest.raises(InputError, match="no order"):
         identify_modes(data, order=1000)
-    bare = FrfModel(LINES, data.H, sensors=[Channel(label=f"s{i}") for i in range(8)], loads=data.loads)
+    bare = FrfModel(LINES, data.H, sensors=[Channel(label=f"s{i}") for i in range(5)], loads=data.loads)
     with pytest.raises(InputError, match="LID-W208"):
         identify_modes(bare)
     rng = np.random.default_rng(0)
