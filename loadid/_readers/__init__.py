@@ -31,6 +31,7 @@ import importlib
 import json
 import os
 import pkgutil
+import re
 import subprocess
 import sys
 import threading
@@ -205,8 +206,13 @@ def _open(path: str | os.PathLike[str]) -> Source:
         )  # fmt: skip
     if not os.fspath(path):
         raise InputError("the path is empty", where="read", found="''", expected="a file name", hint="name a file")
+    if (
+        scheme := re.match(r"([A-Za-z][A-Za-z0-9+.-]+)://", os.fspath(path) if isinstance(path, str) else "")
+    ) is not None:
+        raise InputError("an address is no file here", where=str(path), found=f"{scheme[1]}://", expected="a file name",
+                         hint="download it and name the file")  # fmt: skip
     try:
-        place = Path(path)
+        place = Path(path).expanduser()
         if not place.exists():
             near = _neighbours(place)
             raise InputError(
