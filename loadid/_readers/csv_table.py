@@ -28,6 +28,7 @@ NUMBER = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 ALIKE = 2  # numbers of one form that a column must show before a last one is compared with them
+LONGEST_NAME = 1000  # characters in which a unit is looked for: the expression below costs their square
 WITH_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))\s*", re.DOTALL)
 
 
@@ -325,7 +326,9 @@ def _names_of(line: str, layout: _Layout) -> list[str]:
     if layout.width == 1:
         return [line]
     cells = line.split()
-    return cells if len(cells) == layout.width else re.sub(r"\s+(?=[\[(])", "", line).split()  # "F [N]" is one name
+    return (
+        cells if len(cells) == layout.width else re.sub(r"(?<!\s)\s++(?=[\[(])", "", line).split()
+    )  # "F [N]" is one name
 
 
 def _bare(cell: str) -> str:
@@ -339,6 +342,8 @@ def _all_known(cells: list[str]) -> bool:
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
     """("acc", "m/s^2") of "acc [m/s^2]"; round brackets hold a unit only when they hold a known one."""
+    if len(cell) > LONGEST_NAME:
+        return cell.strip(), None
     match = WITH_UNIT.fullmatch(cell.strip())
     if match is None or not match["name"]:
         return cell.strip(), None

@@ -1,3 +1,6 @@
+import contextlib
+import time
+
 import numpy as np
 import pytest
 
@@ -271,3 +274,14 @@ def test_addresses_and_home_folders(tmp_path, monkeypatch):
     for address in ("https://example.com/a.csv", "s3://bucket/a.csv", "file:///a.csv"):
         with pytest.raises(InputError, match=f"an address is no file.*{address[:2]}.*download"):
             read(address)
+
+
+@pytest.mark.parametrize(
+    "heading", ["a" + "[" * 100_000, "t" + " " * 100_000, "(" * 100_000, '"' * 100_000, "1." * 50_000]
+)
+def test_a_long_heading_costs_no_more_than_its_length(tmp_path, heading):
+    path = write(tmp_path, f"{heading},b\n" + "".join(f"{i / 100:.2f},{i % 7}.5\n" for i in range(20)))
+    begin = time.process_time()
+    with contextlib.suppress(InputError):
+        read(path, fs=100, units={1: "N"})
+    assert time.process_time() - begin < 1.0  # a hundredth of it here; the square of the length takes minutes
