@@ -323,7 +323,12 @@ def load_apart(form: str, source: Source, options: Options) -> list[Table]:
     InputError
         What the reader raised; or the library crashed or did not come back in time.
     """
-    request = {"form": form, "path": str(source.path.resolve()), "shown": str(source.path), "axis": options.axis}
+    request: dict[str, Any] = {
+        "form": form,
+        "path": str(source.path.resolve()),
+        "shown": str(source.path),
+        "axis": options.axis,
+    }
     with _lock:
         child = _running()
         stdin, stdout = _pipes(child)
