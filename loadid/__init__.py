@@ -36,6 +36,7 @@ _PUBLIC = {
     "Spectra": "loadid._record",
     "SparseDeconvolution": "loadid._families.sparse",
     "StaticInversion": "loadid._families.static",
+    "align": "loadid._align",
     "calibrate": "loadid._commands.calibrate",
     "compare_domains": "loadid._families.domains",
     "identify": "loadid._commands.identify",
@@ -47,7 +48,10 @@ _PUBLIC = {
     "register_penalty": "loadid._inverse.penalties",
     "register_rule": "loadid._inverse.rules",
 }
-_ALSO = {"LocationResult": "loadid._results.location"}  # to import for a type; nobody makes one by hand
+_ALSO = {
+    "Alignment": "loadid._align",
+    "LocationResult": "loadid._results.location",
+}  # to import for a type; nobody makes one by hand
 
 __all__ = sorted([*_PUBLIC, "__version__"])
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from structures._advice import Advice, Spelling
+from structures._channels import Channel
 from structures._flags import Evidence, Flag
 from structures.errors import InputError, plain
 
@@ -32,6 +33,7 @@ RAIL_RUN = 3  # equal samples at the rail that make a clip
 QUIET_MIN = 64  # samples below which a noise level is not worth stating
 ONSET = 6.0  # threshold of the onset in robust standard deviations
 CONTRAST = 20.0  # peak over noise below which nothing has started
+LINEAR = 0.1  # strain beyond which no linear model holds
 OFFSET = 3.0  # mean of the quiet part over its std
 
 
@@ -46,9 +48,18 @@ def health(record: Record) -> tuple[Flag, ...]:
     -------
     tuple of Flag
         Empty when nothing is wrong. The evidence names the kind: ``missing``, ``flat``, ``clipped``, ``overload``,
-        ``saturated``, ``held``, ``dead``, ``offset``.
+        ``saturated``, ``held``, ``dead``, ``offset``, ``strain``.
     """
     return tuple(f for i in range(len(record.channels)) for f in _findings(record, i))
+
+
+def beyond_linear(channel: Channel, largest: float) -> tuple[Flag, ...]:
+    """Flag W206 of a strain that no linear model describes; nothing for what is small, or is no strain."""
+    if channel.quantity != "strain" or largest <= LINEAR:
+        return ()
+    text = f"a strain of {100 * largest:.4g} %, beyond what any linear model describes: is it microstrain (um/m)?"
+    said = f"channel {channel.label}: {text}"
+    return (Flag("W206", Evidence("strain", largest, LINEAR), said, "state the unit in which it was recorded: um/m"),)
 
 
 def quiet_segment(values: ArrayLike, dt: float) -> slice | None:
@@ -213,6 +224,7 @@ def _findings(record: Record, column: int) -> list[Flag]:
         runs = _runs(missing)
         text = f"{int(missing.sum())} of {len(x)} samples are missing (certain): {_show(runs)}"
         found.append(flag("missing", float(missing.sum()), 0, text, "use a window or channels without the gap"))
+    found += beyond_linear(record.channels[column], 0.0 if missing.all() else float(np.nanmax(np.abs(x))))
     if len(x) < 2 or missing.all():
         return found
     # Missing samples are left out; what is said about samples is mapped back to their number in the record.

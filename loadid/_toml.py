@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import difflib
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from structures import _toml
 from structures.errors import InputError
 
 
@@ -113,13 +113,10 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
         No such file, no TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text("utf-8"))
+        return _toml.load(Path(path), "the plan is no TOML", "mend the line")
     except OSError as error:
         raise InputError("the plan cannot be read", where=str(path), found=error.strerror or str(error),
                          hint="check the path") from None  # fmt: skip
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("the plan is no TOML", where=str(path), found=str(error)[:200] or "too many levels",
-                         hint="mend the line") from None  # fmt: skip
 
 
 def named(value: Any, name: str) -> Any:

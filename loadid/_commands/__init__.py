@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import sys
 import tempfile
 import time
@@ -74,14 +75,25 @@ def emit(args: Namespace, data: Any, text: str) -> None:
         if isinstance(data, dict) and "flags" in data:
             flags = [explained(flag) if isinstance(flag, dict) else flag for flag in data["flags"]]
             data = {**data, "flags": flags}
-        print(json.dumps(plain(data), allow_nan=False, ensure_ascii=False))
+        print(printable(json.dumps(plain(data), allow_nan=False, ensure_ascii=False)))
     elif not getattr(args, "hushed", False):
-        print(text)
+        print(printable(text))
 
 
 def say(text: str, *, aside: bool = False) -> None:
     """Print a line at once, for who reads a pipe; aside (on standard error) what is no answer."""
-    print(text, file=sys.stderr if aside else sys.stdout, flush=True)
+    print(printable(text), file=sys.stderr if aside else sys.stdout, flush=True)
+
+
+_HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """A text in which control characters, and marks that turn the direction of writing, are shown as in JSON.
+
+    A name in a file may hold them; a terminal would obey them.
+    """
+    return _HARMFUL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def names(text: str) -> list[str]:

@@ -19,7 +19,7 @@ from structures._model import Model
 from structures._models.statespace import STABLE
 from structures.errors import InputError, digests, real, reals, shown
 
-from .._quality import WITHOUT_GAPS, require_finite
+from .._quality import WITHOUT_GAPS, beyond_linear, require_finite
 from .._record import Record, refuse_copies
 from .._results.estimate import Axis
 
@@ -163,9 +163,17 @@ def gather(
             raise InputError(
                 "the unit of a channel does not fit the sensor of the model", where=f"channel {channel.label}",
                 found=channel.unit, expected=row.unit,
-                hint=f"state the unit of the channel (--unit {channel.label}={row.unit})",
+                hint=_of_another_unit(channel, row),
             )  # fmt: skip
     return _settled(picked, rows, record, allow_missing)
+
+
+def _of_another_unit(channel: Channel, sensor: Channel) -> str:
+    """What to do with a channel in another unit than its sensor: a unit is advised only where the file states none."""
+    if channel.quantity in (sensor.quantity, "arbitrary"):
+        return f"state the unit of the channel (--unit {channel.label}={sensor.unit})"
+    return (f"the channel is recorded as {channel.quantity} and the sensor measures {sensor.quantity}: take the "
+            "channel of that sensor, or correct the unit where the file has it wrong")  # fmt: skip
 
 
 def _settled(picked: Record, rows: NDArray[np.int_], record: Record, allow_missing: bool) -> Data:
@@ -406,7 +414,8 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
     single = table.ndim == 1
     axis = None if single else Axis("frame", "", np.arange(float(len(table))))
     table = np.atleast_2d(table)
-    return Readings(table, rows, channels, axis, "readings", _digest(table, channels))
+    strange = tuple(f for c, x in zip(channels, table.T, strict=True) for f in beyond_linear(c, float(np.abs(x).max())))
+    return Readings(table, rows, channels, axis, "readings", _digest(table, channels), strange)
 
 
 def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[np.float64]:

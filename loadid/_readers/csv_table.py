@@ -29,6 +29,7 @@ NUMBER = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 ALIKE = 2  # numbers of one form that a column must show before a last one is compared with them
+LONGEST_NAME = 1000  # characters in which a unit is looked for: the expression below costs their square
 WITH_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))\s*", re.DOTALL)
 
 
@@ -60,18 +61,26 @@ def load(source: Source, options: Options) -> list[Table]:
     while lines and not lines[-1].strip(" \t;,"):
         lines.pop()
         ended = True
+    _refuse_rows_of_channels(lines, source)
+    lines, notes = _with_points(lines)
     layout = _layout(lines, source)
     body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
     body, flags = (body, ()) if ended else _unended(body, layout)
     for number, line in body:
         if (count := _count(line, layout)) != layout.width:
-            source.refuse("lines of different length", f"line {number}: {count} cells",
-                          f"{layout.width} cells", "correct or delete that line")  # fmt: skip
+            both = layout.separator == "," and not any("." in line for _, line in body[:100])
+            source.refuse("lines of different length", f"line {number}: {count} cells", f"{layout.width} cells",
+                          "the comma may be the decimal sign too: part the columns by semicolons or tabs" if both
+                          else "correct or delete that line")  # fmt: skip
     columns = np.arange(layout.width)
     clean = (
         [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
     )
     names, units = _heading(lines[: layout.first], layout)
+    if names is None and layout.width > max(len(body), 64):
+        source.refuse("more columns than rows: the table probably lies on its side",
+                      f"{len(body)} rows of {layout.width} cells", "a column for each channel",
+                      "transpose it, or name the columns in a line above")  # fmt: skip
     forms = {i: _stamps.form(cell) for i, cell in enumerate(_cells(clean[0][1], layout)) if _is_text(cell, layout)}
     at = [i for i, form in forms.items() if form == "date" and forms.get(i + 1) == "time"]
     if names is None and at and layout.separator is None:  # one name over a date and a time of day
@@ -81,8 +90,9 @@ def load(source: Source, options: Options) -> list[Table]:
     if not forms:
         refuse_frfs(names, source)
         values = rows_of(clean, layout.separator, layout.decimal, columns, layout.width, source)
-        return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags)]
-    return [_with_stamps(clean, forms, names, units, flags, layout, source)]
+        return [Table(values, name=source.path.stem, columns=names, units=units, flags=flags, notes=notes)]
+    table = _with_stamps(clean, forms, names, units, flags, layout, source)
+    return [replace(table, notes=(*notes, *table.notes))]
 
 
 def _is_text(cell: str, layout: _Layout) -> bool:
@@ -171,6 +181,48 @@ def _trailing(body: list[tuple[int, str]], layout: _Layout) -> bool:
     return layout.separator is not None and all(
         len(split(line, layout.separator)) == layout.width + 1 for _, line in body
     )
+
+
+WIDEST = 256  # columns of a table whose commas have two meanings
+COMMA_PAIR = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d{1,3})?")
+
+
+def _with_points(lines: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Lines of a table that parts its columns by commas and writes decimal ones, ``0,001,0,25``, with points instead.
+
+    Sure where a line of n names stands over rows of 2n groups of digits, and every second group is of digits alone.
+    """
+    rows = [i for i, line in enumerate(lines) if line.strip()]
+    first = next((k for k, i in enumerate(rows) if _numeric(lines[i], ",", ".")), len(rows))
+    if first == 0 or len(rows) - first < 2 or any(c in lines[rows[-1]] for c in ";\t."):
+        return lines, ()
+    width = len(split(lines[rows[first - 1]], ","))
+    if width > WIDEST:
+        return lines, ()
+    pairs = re.compile(",".join([rf"({COMMA_PAIR.pattern})"] * width))
+    body = rows[first:]
+    kept = body if pairs.fullmatch(lines[body[-1]].strip()) else body[:-1]  # the very last line may be cut
+    if not kept or not all(pairs.fullmatch(lines[i].strip()) for i in kept):
+        return lines, ()
+    found = list(lines)
+    for i in body:
+        cells = lines[i].strip().split(",")
+        found[i] = ",".join(".".join(cells[k : k + 2]) for k in range(0, len(cells), 2))
+    return found, ("commas part the columns and the decimals too: two groups of digits are read as one number",)
+
+
+def _refuse_rows_of_channels(lines: list[str], source: Source) -> None:
+    """Nothing, unless every line is a name and then numbers: a table that lies on its side."""
+    filled = [line for line in lines if line.strip()][:64]
+    for separator, decimal in TRIES[:-2]:
+        rows = [split(line[:100_000], separator) for line in filled]
+        if len(rows) < 2 or min(map(len, rows)) < max(8, 2 * len(rows)):
+            continue
+        named = all(c[0] and number_of(c[0], decimal) is None and not _stamps.form(c[0]) for c in rows)
+        if named and all(number_of(c, decimal) is not None for row in rows for c in row[1:8]):
+            source.refuse("the rows of the table are channels: it lies on its side",
+                          f"{len(filled)} lines that begin with a name, {', '.join(repr(c[0][:20]) for c in rows[:4])}",
+                          "a column for each channel", "transpose it: time runs down")  # fmt: skip
 
 
 def _layout(lines: list[str], source: Source) -> _Layout:
@@ -276,7 +328,9 @@ def _names_of(line: str, layout: _Layout) -> list[str]:
     if layout.width == 1:
         return [line]
     cells = line.split()
-    return cells if len(cells) == layout.width else re.sub(r"\s+(?=[\[(])", "", line).split()  # "F [N]" is one name
+    return (
+        cells if len(cells) == layout.width else re.sub(r"(?<!\s)\s++(?=[\[(])", "", line).split()
+    )  # "F [N]" is one name
 
 
 def _bare(cell: str) -> str:
@@ -290,6 +344,8 @@ def _all_known(cells: list[str]) -> bool:
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
     """("acc", "m/s^2") of "acc [m/s^2]"; round brackets hold a unit only when they hold a known one."""
+    if len(cell) > LONGEST_NAME:
+        return cell.strip(), None
     match = WITH_UNIT.fullmatch(cell.strip())
     if match is None or not match["name"]:
         return cell.strip(), None
@@ -393,8 +449,12 @@ def whole(last: str, others: Sequence[str], decimal: str = ".") -> bool:
     """Whether the very last number of a text without a final line end has lost none of its digits.
 
     That can be told where the other numbers of its column were written with so many decimals, or digits of an
-    exponent, and it has as many. A cut integer is an integer.
+    exponent, and it has as many. A cut integer is an integer; where all the others have as many digits before the
+    point too, and it has not, the decimals may follow from significant digits.
     """
+    lengths = {len(cell.strip().lstrip("+-").partition(decimal)[0]) for cell in others}
+    if len(lengths) == 1 and len(last.strip().lstrip("+-").partition(decimal)[0]) not in lengths:
+        return False
     forms = [_form(cell, decimal) for cell in others if cell.strip() and cell.strip().lower() != "nan"]
     if last.strip().lower() == "nan":
         return True

@@ -18,8 +18,10 @@ from structures.files._uff_datasets import TIME, Function
 
 from .. import _stamps
 from .settle import distinct
-from .source import COLUMNS, Options, Source, Table, register
+from .source import COLUMNS, Options, Source, Table, register, truncated
 
+SECONDS = 17  # data type of an abscissa that is time
+OVER_TIME = ("auto correlation", "cross correlation")  # functions of a lag, which is a time too
 _BEGIN = re.compile(rb"\s*^ {4}-1[ \t]*\r?\n {0,5}\d{1,6}", re.MULTILINE)
 
 
@@ -31,12 +33,24 @@ def load(source: Source, options: Options) -> list[Table]:
     if not functions:
         source.refuse("the file holds no time response", file.holds(), "functions of type 1 (data set 58 or 58b)",
                       "structures.files.read_frfs reads the FRFs of such a file as a model")  # fmt: skip
-    others = len(file.functions) - len(functions)
-    passed = [f"of {file.holds()} only the time responses are read: structures.files.read_frfs reads FRFs as a model"]
+    others = [
+        f for f in file.functions if f.head.function != TIME and f.axis.type == SECONDS and f.name not in OVER_TIME
+    ]
+    strange = (
+        [truncated(len(functions), len(functions) + len(others), f"time responses: {_said(others)}")] if others else []
+    )
     runs = _runs(functions)
     names = [""] if len(runs) == 1 else [f"run {k + 1}" for k in range(len(runs))]
     tables = [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
-    return [replace(t, notes=(*t.notes, *passed)) for t in tables] if others else tables
+    passed = [f for f in file.functions if f.head.function != TIME and f not in others]
+    note = (f"passed over: {_said(passed)}",) if passed else ()
+    return [replace(t, flags=tuple(strange), notes=(*t.notes, *note)) for t in tables]
+
+
+def _said(functions: list[Function]) -> str:
+    """Functions that are no record, in words."""
+    names = [f"{f.name} {f.response or 'unnamed'}".strip() for f in functions[:8]]
+    return ", ".join(names) + (f" and {len(functions) - 8} more" if len(functions) > 8 else "")
 
 
 def _runs(functions: list[Function]) -> list[list[Function]]:

@@ -23,6 +23,7 @@ CLOCK = (
     rb"(?:Z|[+-]\d\d(?::?\d\d)?)?(?![^,;\t\n\r\" ])"
 )  # a cell of its own
 STAMP, COMMA_STAMP = re.compile(CLOCK % rb"\."), re.compile(CLOCK % b"[.,]")
+LONGEST_NAME = 1000  # characters in which a unit is looked for
 TITLE = re.compile(r"\s*(.*?)\s*(?:\[(.*)\]|\((.*)\))?\s*", re.DOTALL)
 
 
@@ -119,7 +120,7 @@ def columns_of(cells: Sequence[str], sensors: Sequence[Channel]) -> tuple[int, .
 
 def titled(cell: str, labels: Collection[str] = ()) -> tuple[str, str | None]:
     """Name and unit of ``acc [g]``; round brackets hold a unit only where it is a known one, and no label is parted."""
-    if cell in labels:
+    if cell in labels or len(cell) > LONGEST_NAME:
         return cell, None
     match = TITLE.fullmatch(cell)
     assert match is not None
@@ -187,7 +188,7 @@ def cells_of(line: bytes) -> list[str]:
     """Cells of a line, without their quotes."""
     text, mark = line.decode("utf-8-sig", "replace").strip(), separator_of(line).decode()
     if mark == " ":
-        return re.split(r"\s+(?![\[(])", text)  # "acc [g]" is one name
+        return re.split(r"(?<!\s)\s++(?![\[(])", text)  # "acc [g]" is one name
     if '"' in text:
         with suppress(csv.Error, StopIteration):
             return [c.strip() for c in next(csv.reader([text], delimiter=mark, skipinitialspace=True))]

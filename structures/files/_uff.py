@@ -19,7 +19,7 @@ from .. import units
 from ..errors import InputError
 from ._recorded import StatedUnit
 from ._storage import as_path
-from ._uff_datasets import Block, Function, function_of, split
+from ._uff_datasets import Block, Function, function_of, is_function, split
 from ._uff_records import AxisRecord, Place, numbers, text_of
 
 # specific data type -> quantity of a translation, of a rotation; {L} is a length, {F} a force
@@ -242,6 +242,14 @@ def parse_uff(data: bytes, path: str) -> UffFile:
         elif block.number == 151:
             title = title or _title(block)
         else:
+            if is_function(block, place):
+                place.refuse(
+                    "a data set has the records of a function and another number",
+                    block.at,
+                    f"number {block.number}",
+                    "58",
+                    "its number is damaged: export or transfer the file again",
+                )
             skipped[block.number] += 1
     if len(set(systems)) > 1:
         raise InputError(

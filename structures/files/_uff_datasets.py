@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._channels import Dof
+from ..errors import InputError
 from ._uff_records import AxisRecord, Head, Place, numbers, parse_head, text_of, whole
 
 MARK = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
@@ -114,7 +115,7 @@ def _binary(place: Place, at: int, number: int, fields: str, id_at: int) -> tupl
         )
     lines, start = _lines(place, at, count, number)
     if number != 58:
-        return Block(number, at, b""), _behind(place, start, [size], size, number, at)[1]
+        return Block(number, at, b"".join(lines)), _behind(place, start, [size], size, number, at)[1]
     if count != HEAD_LINES:
         place.refuse("a data set 58 has eleven records of text", id_at, count, HEAD_LINES)
     head = parse_head(lines, place, at)
@@ -253,6 +254,18 @@ class Function:
     def axis(self) -> AxisRecord:
         """What its abscissa is."""
         return self.head.axes[0]
+
+
+def is_function(block: Block, place: Place) -> bool:
+    """Whether a data set of another number begins with the eleven records of a data set 58."""
+    lines = block.body.split(b"\n", HEAD_LINES)[:HEAD_LINES]
+    if len(lines) < HEAD_LINES:
+        return False
+    try:
+        parse_head(lines, place, block.at)
+    except InputError:
+        return False
+    return True
 
 
 def function_of(block: Block, place: Place) -> Function:

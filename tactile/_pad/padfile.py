@@ -7,7 +7,6 @@ has its default; what is not known is refused with its name. `EXAMPLE` holds all
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from loadid._inverse.rules import RULES
+from structures import _toml
 from structures.errors import InputError, plain
 
 from .._arrays import Array
@@ -144,13 +144,13 @@ def read(path: str | os.PathLike[str]) -> SensorFile:
 
 def _tables(place: Path) -> dict[str, Any]:
     try:
-        tables = tomllib.loads(place.read_text(encoding="utf-8"))
+        tables = _toml.load(place, "the pad file cannot be read", 'texts stand in quotes: thickness = "3 mm"')
     except FileNotFoundError:
         raise InputError("there is no such file", where=str(place), expected="a pad file (TOML)",
                          hint="loadid tactile demo writes one to start from") from None  # fmt: skip
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except OSError as error:
         raise InputError("the pad file cannot be read", where=str(place), found=str(error)[:200], expected="TOML",
-                         hint='texts stand in quotes: thickness = "3 mm"') from None  # fmt: skip
+                         hint="check the path") from None  # fmt: skip
     top = TomlTable(place, "", tables)
     for name in TABLES:
         top.table(name)

@@ -9,7 +9,7 @@ import pytest
 import loadid
 from loadid import Record, StaticInversion, cli, read, read_all
 from loadid._commands.identify import known_load
-from loadid._families.data import WITHOUT_SENSOR
+from loadid._families.data import WITHOUT_SENSOR, gather
 from loadid._readers import outline
 from structures import Channel, MatrixModel, MeasuredModel
 from structures._advice import Option
@@ -351,3 +351,25 @@ def test_wrong_arguments_are_input_errors(action):
 
 def test_many_channels_are_fine_when_named():
     assert len(Record(np.ones((2, 100)), 1.0, [f"c{i}" for i in range(100)]).labels) == 100
+
+
+# -- units of another kind ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("unit", ["deg", "mm", "N"])
+def test_a_unit_is_advised_only_where_the_file_states_no_kind(unit):
+    model = MatrixModel(np.ones((1, 1)), sensors=[Channel(label="a", quantity="acceleration", unit="m/s^2")])
+    stated = Record(np.ones((9, 1)), 1, "a").apply_units({"a": unit})
+    with pytest.raises(InputError, match="sensor measures acceleration") as caught:
+        gather(stated, None, model, None)
+    assert "m/s^2)" not in caught.value.hint
+    with pytest.raises(InputError, match="--unit a=m/s") as caught:
+        gather(Record(np.ones((9, 1)), 1, "a"), None, model, None)
+
+
+@pytest.mark.parametrize(("largest", "asked"), [(20.0, True), (2000.0, True), (0.005, False), (2e-3, False)])
+def test_strains_beyond_any_linear_model_are_asked_about(largest, asked):
+    channel = Channel(label="e", quantity="strain", unit="m/m")
+    found = Record(largest * np.sin(np.arange(200) / 9), 1e-3, channel).health()
+    assert any("is it microstrain" in f.message for f in found) is asked
+    model = MatrixModel(np.ones((2, 1)), sensors=[channel, Channel(label="f", quantity="strain", unit="m/m")])
+    flags = StaticInversion(model).estimate([largest, largest * 1.01]).flags
+    assert any("is it microstrain" in f.message for f in flags) is asked

@@ -1,8 +1,11 @@
 """Words that must not claim too much: shares, overridden refusals, what the data cannot tell, known loads."""
 
+import json
+
 import numpy as np
 import pytest
 
+from loadid import cli
 from loadid._results.report import page
 from loadid._results.summary import against, allowed, cannot_tell, comparison, share
 from loadid.codes import GUARDS, known_codes
@@ -70,3 +73,17 @@ def test_what_the_data_cannot_tell_is_a_sentence():
     assert "60%" in nothing
     assert cannot_tell(impact(facts={"nullity": 7, "n": 400})).startswith("7 of 400 components")
     assert cannot_tell(impact(facts={})) == ""
+
+
+def test_names_in_a_file_give_a_terminal_no_orders(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "time [s],a\x1b]0;owned\x9b31m\u202ename [g]\n" + "".join(f"{k / 10},{k}\n" for k in range(9)), "utf-8"
+    )
+    for given in ([], ["--json"]):
+        assert cli.main(["info", str(path), *given]) == 0
+        out = capsys.readouterr().out
+        assert "\\u001b" in out
+        assert not set(out) & set("\x1b\x9b\u202e")
+        if given:
+            assert json.loads(out)["records"][0]["channels"][0]["label"] == "a\x1b]0;owned\x9b31m\u202ename"

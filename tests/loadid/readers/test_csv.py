@@ -1,3 +1,6 @@
+import contextlib
+import time
+
 import numpy as np
 import pytest
 
@@ -232,3 +235,53 @@ def test_doubled_and_empty_names_are_numbered(tmp_path):
     assert found.labels == ("a (column 1)", "a (column 2)", "[N]")
     text = "ch1 [N],[N],\n" + "\n".join("1,2,3.5" for _ in range(5)) + "\n"
     assert len(set(read(write(tmp_path, text), fs=1, units={1: "N", 2: "N"}).labels)) == 3
+
+
+# -- what a table may be beside the usual ------------------------------------------------------------------------------
+def test_commas_that_part_columns_and_decimals(tmp_path):
+    german = csv(",", ",")
+    names, *rows = german.splitlines()
+    assert rows[3].count(",") == 5
+    r = read(write(tmp_path, german))
+    np.testing.assert_allclose(r.values, np.column_stack((F, A * G)), rtol=1e-15)
+    assert any("two groups of digits are read as one number" in n for n in r.notes)
+    mixed = "\n".join(
+        [names, *rows[:4], rows[4].replace(",0000", "", 1) if ",0000" in rows[4] else "0,0040,7,1,5", *rows[5:]]
+    )
+    with pytest.raises(InputError, match=r"decimal sign too|different length"):
+        read(write(tmp_path, mixed + "\n"))
+    whole = "t [s],F [N]\n" + "\n".join(f"{i},{i % 7}" for i in range(20)) + "\n"  # whole numbers are no such pairs
+    assert read(write(tmp_path, whole))["F"][8] == 1.0
+
+
+def test_a_table_on_its_side_is_recognised(tmp_path):
+    t = np.arange(300) / 1000
+    lines = [
+        ",".join([n, *(f"{v:.4f}" for v in x)]) for n, x in (("time [s]", t), ("F [N]", np.sin(t)), ("a [g]", t**2))
+    ]
+    with pytest.raises(InputError, match=r"on its side.*'time \[s\]', 'F \[N\]', 'a \[g\]'.*transpose"):
+        read(write(tmp_path, "\n".join(lines) + "\n"))
+    bare = "\n".join(line.partition(",")[2] for line in lines) + "\n"
+    with pytest.raises(InputError, match="on its side"):
+        read(write(tmp_path, bare), fs=1000)
+
+
+def test_addresses_and_home_folders(tmp_path, monkeypatch):
+    path = write(tmp_path, csv())
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    assert len(read(f"~/{path.name}")) == len(F)
+    for address in ("https://example.com/a.csv", "s3://bucket/a.csv", "file:///a.csv"):
+        with pytest.raises(InputError, match=f"an address is no file.*{address[:2]}.*download"):
+            read(address)
+
+
+@pytest.mark.parametrize(
+    "heading", ["a" + "[" * 100_000, "t" + " " * 100_000, "(" * 100_000, '"' * 100_000, "1." * 50_000]
+)
+def test_a_long_heading_costs_no_more_than_its_length(tmp_path, heading):
+    path = write(tmp_path, f"{heading},b\n" + "".join(f"{i / 100:.2f},{i % 7}.5\n" for i in range(20)))
+    begin = time.process_time()
+    with contextlib.suppress(InputError):
+        read(path, fs=100, units={1: "N"})
+    assert time.process_time() - begin < 1.0  # a hundredth of it here; the square of the length takes minutes
