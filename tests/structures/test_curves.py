@@ -9,6 +9,7 @@ from loadid._readers import scan
 from loadid._readers.source import NotStated
 from structures.errors import InputError
 from structures.files import read_frfs
+from tests.benchmarks.fuzz import mutant
 
 F = np.arange(1.0, 9.0) * 2.5
 RNG = np.random.default_rng(3)
@@ -234,3 +235,26 @@ def test_a_record_with_words_like_those_of_frfs_is_still_a_record(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("time [s],real load [N],phase [rad]\n" + rows([T, X[:, 0], X[:, 1]]))
     assert loadid.read(path).labels == ("real load", "phase")
+
+
+def test_mutants(tmp_path):
+    """100 damaged copies of each file: nothing but an InputError leaves `read_frfs` or `read`."""
+    made = [
+        (read_frfs, sdynpy(tmp_path / "a.npz", 4, F, H[:, :, 0].T, [[(1, 3), (5, 3)], [(2, -1), (5, 3)]])),
+        (read_frfs, mat(tmp_path / "b.mat", False, FRF=block(H[:, 0], "g/N", x="Hz", kind="FRF", name="1:+Z/5:+Z"))),
+        (loadid.read, mat(tmp_path / "c.mat", False, Signal=block(X, "g", name=cell("a", "b")))),
+        (loadid.read, sdynpy(tmp_path / "d.npz", 1, T, X.T, [[(1, 3)], [(2, -1)]])),
+    ]
+    table = tmp_path / "e.csv"
+    table.write_text("Frequency [Hz],Real 1+Z/5+Z [g/N],Imag 1+Z/5+Z [g/N]\n" + rows(PARTS[:3]))
+    made.append((read_frfs, table))
+    for read, path in made:
+        stated = {"units": {0: "N", 1: "g"}} if read is loadid.read else {"response_unit": "g", "reference_unit": "N"}
+        data, place, refused = path.read_bytes(), tmp_path / f"mutant{path.suffix}", 0
+        for seed in range(100):
+            place.write_bytes(mutant(data, seed)[1])
+            try:
+                read(place, **stated)
+            except InputError:
+                refused += 1
+        assert refused > 60, path.name
