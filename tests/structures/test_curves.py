@@ -177,6 +177,9 @@ POLAR = [F, abs(H[:, 0, 0]), np.angle(H[:, 0, 0], deg=True)]
         ("Frequenz [Hz];Betrag 1+Z/5+Z [g/N];Phase 1+Z/5+Z [°]", POLAR, ";", ",", G),
         ("# f [Hz]  Re [m/s^2/N]  Im [m/s^2/N]", PARTS[:3], " ", ".", 1),
         ("Freq (kHz),Mag 1+Z/5+Z (mm/s/N),Phase 1+Z/5+Z (rad)", RADIANS, ",", ".", 1e-3),
+        ('"f [kHz]","Re(1+Z/5+Z)[g/N]","Im(1+Z/5+Z)[g/N]"', [F / 1e3, *PARTS[1:3]], ",", ".", G),
+        ("Frequency;Real 1+Z/5+Z [g/N];Imaginary 1+Z/5+Z;Amplitude 1+Z/5+Z;Angle 1+Z/5+Z", [*PARTS[:3], *POLAR[1:]],
+         ";", ".", G),
         ("Frequency [Hz],H1 1+Z/5+Z Real [g/N],H1 1+Z/5+Z Imag,Coherence", [*PARTS[:3], F * 0 + 1], ",", ".", G),
     ],
 )  # fmt: skip
@@ -190,6 +193,13 @@ def test_tables_of_analysers(tmp_path, heading, columns, separator, decimal, sca
     np.testing.assert_allclose(model.frequencies, F, rtol=1e-9)
     named = "1Z+" in heading or "1+Z" in heading
     assert (model.sensors[0].label, model.loads[0].label) == (("1+Z", "5+Z") if named else ("response", "reference"))
+
+
+def test_headings_that_come_again_are_the_next_frf(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("frequency;real [g/N];imag;real [g/N];imag\n" + rows(PARTS, ";"))
+    model = read_frfs(path, responses=["1+Z", "2+Z"], references=["5+Z"])
+    np.testing.assert_allclose(model.H[:, :, 0], H[:, :, 0] * G, rtol=1e-8)
 
 
 def test_names_of_a_table_that_has_none(tmp_path):
@@ -258,3 +268,43 @@ def test_mutants(tmp_path):
             except InputError:
                 refused += 1
         assert refused > 60, path.name
+
+
+def mat73(path, tree):
+    """A file as MATLAB writes it with -v7.3: groups for structs, references for cells, characters as numbers."""
+    import h5py
+
+    def put(group, name, value):
+        if isinstance(value, dict):
+            below = group.create_group(name)
+            below.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key, one in value.items():
+                put(below, key, one)
+        elif isinstance(value, np.ndarray) and value.dtype == object:
+            refs = np.empty(value.T.shape, h5py.ref_dtype)
+            for k, text in enumerate(value.ravel()):
+                put(group.file["#refs#"], f"{name}{k}", text)
+                refs[k, 0] = group.file["#refs#"][f"{name}{k}"].ref
+            group.create_dataset(name, data=refs, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
+        elif isinstance(value, str):
+            codes = np.array([[ord(c)] for c in value], "u2")
+            group.create_dataset(name, data=codes).attrs["MATLAB_class"] = np.bytes_("char")
+        else:
+            group.create_dataset(name, data=np.atleast_2d(value).T).attrs["MATLAB_class"] = np.bytes_("double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_group("#refs#")
+        for name, value in tree.items():
+            put(file, name, value)
+    mark = b"MATLAB 7.3 MAT-file".ljust(116) + bytes(8) + b"\x00\x02IM"
+    path.write_bytes(mark + path.read_bytes()[128:])
+    return path
+
+
+def test_structs_of_version_73(tmp_path):
+    signal = block(X, "g", factor=G, name=cell("3:Point1", "4:Point2"), primary_channel={"label": cell("P1", "P2")})
+    record = loadid.read(mat73(tmp_path / "x.mat", {"Signal": signal}))
+    assert (record.labels, record.units, record.dt) == (("P1", "P2"), ("g", "g"), 0.001)
+    np.testing.assert_array_equal(record.values, X * G)
+    with pytest.raises(InputError, match=r"holds no record.*other \(struct, cell or complex\)"):
+        loadid.read(mat73(tmp_path / "y.mat", {"other": {"a": 1.0, "b": "text"}}))
