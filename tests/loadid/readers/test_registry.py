@@ -148,7 +148,8 @@ def test_damaged_files(tmp_path, suffix):
     """300 mutants: nothing but an InputError leaves a reader, nothing hangs, no declared length is cut silently."""
     path = small_files(tmp_path)[suffix]
     seen = list(outcomes(path, 300, tmp_path))
-    assert max(seconds for _, _, seconds in seen) < 5
+    library = next(f.library for f in formats() if f".{suffix}" in f.suffixes)  # imported anew after a hang
+    assert max(seconds for _, _, seconds in seen) < (8 if library else 5)
     cut = [outcome for kind, outcome, _ in seen if kind == "truncated"]
     assert len(cut) > 80
     if suffix in ("npy", "npz", "h5", "parquet", "arrow", "xlsx", "mf4", "bag", "db3"):
