@@ -28,12 +28,16 @@ from __future__ import annotations
 import atexit
 import contextlib
 import importlib
+import importlib.util
 import json
+import math
 import os
 import pkgutil
+import signal
 import subprocess
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -285,8 +289,8 @@ def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> 
 
 
 # -- formats that are read in a child process --------------------------------------------------------------------------
-PATIENCE = 4.0  # seconds that a small file may take; a large one, what the speed of its format allows
-LOADING = 60.0  # seconds that the import of a library may take
+PATIENCE = 4.0  # seconds of processor time that a small file may take; a large one, what the speed of its format allows
+LOADED = 15.0  # times as long it may take on a machine that has other work
 _START = "import sys; sys.path.append(sys.argv[1]); from loadid._readers import asked_for, serve; serve(asked_for)"
 _lock = threading.Lock()
 _process: subprocess.Popen[bytes] | None = None
@@ -301,32 +305,30 @@ def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
     InputError
         What the reader raised; or the library crashed or did not come back in time.
     """
-    request = {"form": form.name, "path": str(source.path.resolve()), "shown": str(source.path), "axis": options.axis}
+    request = {
+        "form": form.name,
+        "library": form.library,
+        "path": str(source.path.resolve()),
+        "shown": str(source.path),
+        "axis": options.axis,
+    }
     with _lock:
         child = _running()
-        pipes = _pipes(child)
-        limit = LOADING
-        late = threading.Timer(limit, child.kill)
+        stdin, stdout = _pipes(child)
+        limit = PATIENCE + source.size / form.speed
+        request["seconds"] = limit
+        late = threading.Timer(limit * (LOADED if _CAN_COUNT else 1.0), child.kill)
         late.start()
         try:
-            if form.library:
-                _send(pipes[0], {"library": form.library})
-                _receive(pipes[1])
-            late.cancel()
-            limit = PATIENCE + source.size / form.speed
-            late = threading.Timer(limit, child.kill)
-            late.start()
-            _send(pipes[0], request)
-            answer = _receive(pipes[1])
-            tables = [_unpack(entry, pipes[1]) for entry in answer["tables"]] if "tables" in answer else []
+            _send(stdin, request)
+            answer = _receive(stdout)
+            tables = [_unpack(entry, stdout) for entry in answer["tables"]] if "tables" in answer else []
         except (OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError):
-            in_time = late.is_alive()
+            in_time = late.is_alive() and not _out_of_time(child)
             stop()
             source.refuse(
-                f"the {form.name} library crashed on this file"
-                if in_time
-                else f"the {form.name} library hangs on this file",
-                "a damaged file" if in_time else f"no answer in {limit:.0f} s",
+                f"the {form.name} library {'crashed' if in_time else 'hangs'} on this file",
+                "a damaged file" if in_time else f"no answer in {limit:.0f} s of processor time",
                 "an undamaged file",
                 "transfer or export it again",
             )
@@ -362,11 +364,10 @@ def serve(tables: Callable[[dict[str, Any]], list[Table]]) -> None:
             request = _receive(wanted)
         except EOFError:
             return
-        if "library" in request:  # imported before the clock of the file runs
+        if request.get("library"):  # imported before the time of the file runs
             with contextlib.suppress(Exception):
                 importlib.import_module(request["library"])
-            _send(out, {"ready": True})
-            continue
+        _allow_seconds(request.get("seconds"))
         try:
             packed = [_pack(t) for t in tables(request)]
         except InputError as error:
@@ -413,6 +414,29 @@ def _running() -> subprocess.Popen[bytes]:
 
 def _pipes(child: subprocess.Popen[bytes]) -> tuple[Any, Any]:
     return child.stdin, child.stdout
+
+
+_CAN_COUNT = importlib.util.find_spec("resource") is not None  # the system counts and limits processor time
+
+
+def _allow_seconds(seconds: float | None) -> None:
+    """End this process after so much more processor time, however much of it the machine gives."""
+    if _CAN_COUNT and seconds is not None:
+        import resource
+
+        used = time.process_time()
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(used + seconds), hard))
+
+
+def _out_of_time(child: subprocess.Popen[bytes]) -> bool:
+    """Whether a child was ended by the limit on its processor time."""
+    if not _CAN_COUNT:
+        return False
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(1.0)
+    return child.returncode == -signal.SIGXCPU
 
 
 def _restrict() -> None:

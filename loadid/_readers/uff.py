@@ -30,12 +30,13 @@ def load(source: Source, options: Options) -> list[Table]:
     if not functions:
         source.refuse("the file holds no time response", file.holds(), "functions of type 1 (data set 58 or 58b)",
                       "structures.files.read_frfs reads the FRFs of such a file as a model")  # fmt: skip
-    others = len(file.functions) - len(functions)
-    passed = [f"of {file.holds()} only the time responses are read: structures.files.read_frfs reads FRFs as a model"]
+    others = [f"{f.name} {f.response or 'unnamed'}" for f in file.functions if f.head.function != TIME]
+    listed = ", ".join(others[:8]) + (f" and {len(others) - 8} more" if len(others) > 8 else "")
+    note = f"passed over: {listed}; structures.files.read_frfs reads FRFs as a model"
     runs = _runs(functions)
     names = [""] if len(runs) == 1 else [f"run {k + 1}" for k in range(len(runs))]
     tables = [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
-    return [replace(t, notes=(*t.notes, *passed)) for t in tables] if others else tables
+    return [replace(t, notes=(*t.notes, note)) for t in tables] if others else tables
 
 
 def _runs(functions: list[Function]) -> list[list[Function]]:
