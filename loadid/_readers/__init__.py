@@ -305,7 +305,7 @@ def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
     InputError
         What the reader raised; or the library crashed or did not come back in time.
     """
-    request = {
+    request: dict[str, Any] = {
         "form": form.name,
         "library": form.library,
         "path": str(source.path.resolve()),
