@@ -32,7 +32,7 @@ _WORDS = {part: re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])(?:[\s_]*part)?", 
           for part, words in _PARTS.items()}  # fmt: skip
 _WITH_UNIT = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))?\s*", re.DOTALL)
 _FORM = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<exponent>\d+))?", re.ASCII)
-LONGEST = 20_000  # characters of a heading
+NAME, LONGEST = 200, 100_000  # characters of the name of a column, and of all of them
 _FORMS = {"real": ("real", "imag"), "magnitude": ("magnitude", "phase")}
 _SHOWN = {"real": "real and imaginary part", "magnitude": "magnitude and phase"}
 
@@ -53,7 +53,7 @@ def pairs_of(names: Sequence[str]) -> list[Pair] | None:
     The first column is the frequency; every other one is half of a pair, or a coherence. Of an FRF in both forms its
     real and imaginary part are taken; headings that come again belong to the next FRF.
     """
-    if len(names) < 3 or not _FREQUENCY.fullmatch(names[0].strip()):
+    if len(names) < 3 or any(len(n) > NAME for n in names) or not _FREQUENCY.fullmatch(names[0].strip()):
         return None
     parts: dict[str, dict[str, list[int]]] = {}
     for column, name in enumerate(names[1:], 1):
@@ -246,7 +246,7 @@ def _words(line: str, width: int) -> list[str]:
 
 def parted(cell: str) -> tuple[str, str]:
     """Name and unit of a heading; round brackets may hold a name, Re(S11), as well as a unit."""
-    match = _WITH_UNIT.fullmatch(cell.strip())
+    match = _WITH_UNIT.fullmatch(cell.strip()) if len(cell) <= NAME else None
     if match is None:
         return cell.strip(), ""
     if match["square"] is not None:
