@@ -11,8 +11,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from structures.errors import InputError
 
 from .. import __version__
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from .._record import Record
 
 PIECE = 1 << 20
-PARQUET = (".parquet", ".pq")
 PARTS = 1  # goes up when parts of an earlier release can no longer be read
 
 
@@ -254,60 +251,13 @@ def spans(tree: Mapping[str, Any]) -> list[tuple[int, int]]:
 
 # -- one record -------------------------------------------------------------------------------------------------------
 def read_record(path: str, reading: Mapping[str, Any]) -> Record:
-    """A record of any format that the package reads, or of a Parquet file.
+    """A record of any format that the package reads.
 
     Raises
     ------
     InputError
         Whatever is wrong with the file.
     """
-    if Path(path).suffix.lower() in PARQUET:
-        return _parquet(path, reading)
     from .._readers import read
 
     return read(path, **reading)
-
-
-def _parquet(path: str, reading: Mapping[str, Any]) -> Record:
-    """Columns of a Parquet file as channels, settled as those of any other table; stamps are a column of time."""
-    from .._readers import record_of
-    from .._readers.source import Options, Source, Table
-
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise InputError("Parquet files are read by a package that is not installed", where=path, found="no pyarrow",
-                         expected="pyarrow", hint="pip install 'loadid[cluster]'") from None  # fmt: skip
-    source = Source(Path(path), os.stat(path).st_size, b"")
-    try:
-        with parquet.ParquetFile(path) as file:
-            source.allow(8 * file.metadata.num_rows * file.metadata.num_columns)
-            table = file.read()
-        kept = [f.name for f in table.schema if _is_number(f.type) or pa.types.is_temporal(f.type)]
-        values = np.stack([_seconds(table[name]) for name in kept], axis=1) if kept else np.zeros((0, 0))
-    except (pa.ArrowException, OSError) as error:
-        raise InputError("no Parquet file, or a damaged one", where=path, found=str(error)[:200],
-                         hint="write it again from its source") from None  # fmt: skip
-    if not values.size:
-        source.refuse("the file holds no numbers", ", ".join(table.column_names)[:200], "columns of numbers")
-    stamps = [k for k, name in enumerate(kept) if pa.types.is_temporal(table.schema.field(name).type)]
-    made = Table(values, Path(path).stem, tuple(kept), time=stamps[0] if stamps else None)
-    given = {name: reading[name] for name in ("fs", "columns", "units") if reading.get(name) is not None}
-    return record_of(made, source, Options(**given))
-
-
-def _is_number(kind: Any) -> bool:
-    import pyarrow.types as types
-
-    return bool(types.is_integer(kind) or types.is_floating(kind))
-
-
-def _seconds(column: Any) -> Any:
-    """A column as float64, NaN where nothing is; stamps in s after the first."""
-    import pyarrow.types as types
-
-    if not types.is_temporal(column.type):
-        return column.cast("float64").to_numpy()
-    stamps = column.cast("timestamp[ns]").cast("int64").to_numpy()
-    return (stamps - stamps[0]) * 1e-9

@@ -313,9 +313,8 @@ def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> 
 
 
 # -- formats that are read in a child process --------------------------------------------------------------------------
-PATIENCE = 4.0  # seconds of processor time that a small file may take
+PATIENCE = 4.0  # seconds of processor time that a small file may take; a large one, what the speed of its format allows
 LOADED = 15.0  # times as long it may take on a machine that has other work
-SPEED = 1e7  # bytes per second that a large one must at least be read with
 _START = "import sys; sys.path.append(sys.argv[1]); from loadid._readers import asked_for, serve; serve(asked_for)"
 _lock = threading.Lock()
 _process: subprocess.Popen[bytes] | None = None
@@ -331,7 +330,8 @@ def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
         What the reader raised; or the library crashed or did not come back in time.
     """
     request: dict[str, Any] = {
-        "form": form,
+        "form": form.name,
+        "library": form.library,
         "path": str(source.path.resolve()),
         "shown": str(source.path),
         "axis": options.axis,
@@ -339,26 +339,19 @@ def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
     with _lock:
         child = _running()
         stdin, stdout = _pipes(child)
-        limit = PATIENCE + source.size / SPEED
+        limit = PATIENCE + source.size / form.speed
         request["seconds"] = limit
         late = threading.Timer(limit * (LOADED if _CAN_COUNT else 1.0), child.kill)
         late.start()
         try:
-            if form.library:
-                _send(pipes[0], {"library": form.library})
-                _receive(pipes[1])
-            late.cancel()
-            limit = PATIENCE + source.size / form.speed
-            late = threading.Timer(limit, child.kill)
-            late.start()
-            _send(pipes[0], request)
-            answer = _receive(pipes[1])
-            tables = [_unpack(entry, pipes[1]) for entry in answer["tables"]] if "tables" in answer else []
+            _send(stdin, request)
+            answer = _receive(stdout)
+            tables = [_unpack(entry, stdout) for entry in answer["tables"]] if "tables" in answer else []
         except (OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError):
             in_time = late.is_alive() and not _out_of_time(child)
             stop()
             source.refuse(
-                f"the {form} library crashed on this file" if in_time else f"the {form} library hangs on this file",
+                f"the {form.name} library {'crashed' if in_time else 'hangs'} on this file",
                 "a damaged file" if in_time else f"no answer in {limit:.0f} s of processor time",
                 "an undamaged file",
                 "transfer or export it again",
@@ -395,6 +388,9 @@ def serve(tables: Callable[[dict[str, Any]], list[Table]]) -> None:
             request = _receive(wanted)
         except EOFError:
             return
+        if request.get("library"):  # imported before the time of the file runs
+            with contextlib.suppress(Exception):
+                importlib.import_module(request["library"])
         _allow_seconds(request.get("seconds"))
         try:
             packed = [_pack(t) for t in tables(request)]

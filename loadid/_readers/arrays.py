@@ -1,13 +1,8 @@
-"""Records out of named arrays: NumPy files (.npy, .npz), never unpickled; HDF5 files in a plain layout; MAT files.
+"""Records out of named arrays: NumPy files (.npy, .npz), never unpickled; HDF5 files in a plain layout.
 
-HDF5 is walked so that nothing outside is touched; in MAT files a matrix is a record. Datasets are 2-D (a record each)
-or 1-D (the channels of their group). Attributes ``fs`` or ``dt``, ``channels`` and ``units`` stand on the dataset, on
-its group or on the root; ``unit`` on a 1-D dataset.
-
-Level 5 (-v6, -v7) is parsed here, 7.3 is HDF5 and therefore read in the child. MATLAB has no vectors: a matrix with one
-row or one column is taken as one. Complex arrays, cells and structs are no records, but
-for the archives of SDynPy and the structs of Simcenter Testlab (`curves`); FRFs are a model, which
-``structures.files.read_frfs`` reads.
+HDF5 is walked so that nothing outside is touched. Datasets are 2-D (a record each) or 1-D (the channels of their
+group). Attributes ``fs`` or ``dt``, ``channels`` and ``units`` stand on the dataset, on its group or on the root;
+``unit`` on a 1-D dataset. Archives of SDynPy are read by `curves`.
 """
 
 from __future__ import annotations
@@ -22,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from structures.files._mat_level5 import is_level5, read_level5
-
 from .. import _stamps
-from .curves import of_sdynpy, of_structs
+from .curves import of_sdynpy
 from .settle import TIME_NAMES, distinct
 from .source import COLUMNS, RATE, Options, Source, Table, register, time_first
 
@@ -243,7 +236,7 @@ def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Source)
     return data
 
 
-# -- HDF5 and MAT files ------------------------------------------------------------------------------------------------
+# -- HDF5 --------------------------------------------------------------------------------------------------------------
 # deflate, shuffle, fletcher32, szip, lzf: what the library itself brings, and nothing that loads a plug-in
 FILTERS = {1, 2, 3, 4, 32000}
 DEPTH = 16
@@ -270,7 +263,7 @@ class Walk:
     def __init__(self, source: Source, options: Options) -> None:
         self.source, self.options = source, options
         self.tables: list[Table] = []
-        self.unpacked = 0
+        self.unpacked = self.parts = 0
         self.seen: set[Any] = set()
 
     def group(self, group: Any, path: str, above: dict[str, Any], depth: int) -> None:
@@ -347,7 +340,8 @@ class Walk:
         if item.shape is None or item.ndim > 2 or 0 in item.shape:
             return None
         text = h5py.check_string_dtype(item.dtype) is not None
-        if not text and item.dtype.kind not in "fiu":
+        both = item.dtype.names == ("real", "imag")  # how MATLAB writes complex numbers
+        if not text and not both and item.dtype.kind not in "fiu":
             return None
         count = math.prod(item.shape)
         if text and count > ATTRIBUTE_BYTES:
@@ -357,7 +351,8 @@ class Walk:
         self.complete(item, place)
         if text:
             return np.asarray(item.asstr(errors="replace")[()], dtype=str)
-        return np.asarray(item[()])
+        values = np.asarray(item[()])
+        return values["real"] + 1j * values["imag"] if both else values
 
     def complete(self, item: Any, place: str) -> None:
         """Refuse a dataset of which parts were never written: the library would make numbers up."""
@@ -403,62 +398,3 @@ def _plain(attributes: dict[str, Any]) -> dict[str, NDArray[Any]]:
             x = np.array([t.strip() for t in str(x.reshape(-1)[0]).split(",")])
         plain[name] = x
     return plain
-
-
-_HDF5_MARKS = (b"\x00\x02IM", b"\x02\x00MI")
-
-
-@register("MAT", suffixes=(".mat",), sniff=is_level5)
-def load_level5(source: Source, options: Options) -> list[Table]:
-    """Records of a file that MATLAB wrote with -v6 or -v7."""
-    arrays, others = read_level5(source.data(), str(source.path))
-    if "struct" in others.values() and (found := of_structs(source)):
-        return found
-    return _tables(arrays, others, source, options)
-
-
-@register("MAT 7.3", suffixes=(".mat",), sniff=lambda head: head[124:128] in _HDF5_MARKS, native=True)
-def load_hdf5(source: Source, options: Options) -> list[Table]:
-    """Records of a file that MATLAB wrote with -v7.3: the variables at its root, with their axes turned back."""
-    import h5py
-
-    arrays: dict[str, NDArray[Any]] = {}
-    others: dict[str, str] = {}
-    with h5py.File(source.place or source.path, "r") as file:
-        walk = Walk(source, options)
-        for name in file:
-            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                source.refuse("a link leaves the file", name, "a file that holds its own data")
-            item = file[name]
-            values = walk.dataset(item, name) if isinstance(item, h5py.Dataset) else None
-            if values is None:
-                others[name] = "struct, cell or complex"
-            elif item.attrs.get("MATLAB_class") == b"char":
-                arrays[name] = np.array("".join(map(chr, np.ravel(values).astype(int).tolist())))
-            else:
-                arrays[name] = values.T
-    return _tables(arrays, others, source, options)
-
-
-def _tables(arrays: dict[str, NDArray[Any]], others: dict[str, str], source: Source, options: Options) -> list[Table]:
-    flat = {name: _flat(x) for name, x in arrays.items()}
-    found = tables_of(flat, source, options)
-    passed = [f"{name} ({word})" for name, word in others.items()]
-    passed += [f"{k} (complex)" for k, x in flat.items() if x.dtype.kind == "c"]
-    passed += [f"{k} ({x.ndim} axes)" for k, x in flat.items() if x.dtype.kind in "fiu" and x.ndim > 2]
-    if not found:
-        source.refuse(
-            "the file holds no record",
-            ", ".join([*passed, *(f"{k} ({x.size} values)" for k, x in flat.items())][:30]) or "no variable",
-            "matrices or vectors of real numbers",
-            "save plain arrays: x = log.x; save('log.mat', 'x', 'fs'); structures.files.read_frfs reads FRFs",
-        )
-    note = (f"passed over: {', '.join(passed[:20])}",) if passed else ()
-    return [replace(table, notes=(*table.notes, *note)) for table in found]
-
-
-def _flat(x: NDArray[Any]) -> NDArray[Any]:
-    """A matrix of one row or one column as a vector, of one entry as a number."""
-    if x.dtype.kind == "U" or x.ndim > 2:
-        return x
-    return x.reshape(()) if x.size == 1 else np.ravel(x) if min(x.shape, default=0) == 1 else x

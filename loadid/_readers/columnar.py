@@ -2,7 +2,7 @@
 
 The unit of a column is the entry ``unit`` of its metadata, or the entry of its name in ``units`` among the metadata of
 the file (JSON, as pandas keeps ``DataFrame.attrs``); else it stands in the name, ``acc [m/s^2]``. The step is ``fs`` or
-``dt`` among the metadata of the file.
+``dt`` among the metadata of the file, which hold the name of the record, too.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .arrays import RATES, STEPS
 from .csv_table import name_and_unit
+from .settle import TIME_NAMES
 from .source import COLUMNS, Options, Source, Table, register, since
 
 
@@ -98,16 +99,33 @@ def _table(table: Any, declared: int, source: Source) -> Table:
         units.append("s" if i in stamps else str(said) if said else None)
         columns.append(times[i][0] if i in times else _numbers(table.column(i)))
     passed = [f"{f.name} ({f.type})" for i, f in enumerate(table.schema) if i not in kept]
+    notes = [f"passed over: {', '.join(passed[:20])}"] if passed else []
+    if stamps and types.is_timestamp(table.schema.field(stamps[0]).type) and not table.schema.field(stamps[0]).type.tz:
+        notes.append(f"the stamps in {table.schema.field(stamps[0]).name} name no time zone and are taken as UTC")
+    dt, title = _step(texts, source), texts.get("name")
+    clock = kept.index(stamps[0]) if stamps else next((i for i, n in enumerate(names) if n.lower() in TIME_NAMES), None)
+    if clock is not None and dt is not None and _even(columns[clock], dt):  # the step as it was written is exact
+        del names[clock], units[clock], columns[clock]
+        clock = None
+    if not columns:
+        source.refuse("there is a time column and nothing else", ", ".join(f.name for f in table.schema),
+                      "at least one channel")  # fmt: skip
     return Table(
         np.column_stack(columns),
-        name=source.path.stem,
+        name=title if isinstance(title, str) and title else source.path.stem,
         columns=tuple(names),
         units=tuple(units),
-        dt=_step(texts, source),
-        time=kept.index(stamps[0]) if stamps else None,
-        notes=(f"passed over: {', '.join(passed[:20])}",) if passed else (),
+        dt=dt if clock is None else None,
+        time=clock,
+        notes=tuple(notes),
         start=times[stamps[0]][1] if stamps else None,
     )
+
+
+def _even(time: NDArray[np.float64], dt: float) -> bool:
+    """Whether a time column holds multiples of a step, to a nanosecond or a millionth of it."""
+    away = np.abs(time - time[0] - np.arange(len(time)) * dt)
+    return bool(np.all(away <= max(1.01e-9, 1e-6 * dt)))
 
 
 def _about(metadata: dict[bytes, bytes] | None) -> dict[str, Any]:

@@ -6,19 +6,20 @@ Time responses over one time base are the channels of one record; what is over f
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from structures import units as _units
 from structures.files._curves import TIME, Curve, held, read_sdynpy
 from structures.files._frf_text import described, pairs_of, parted
-from structures.files._mat_level5 import read_structs
 from structures.files._recorded import StatedUnit
 from structures.files._simcenter import blocks_of, curves_of
 
 from .settle import distinct
 from .source import COLUMNS, Source, Table
 
+DEPTH, PARTS = 12, 100_000  # levels and parts of structs
 MODEL = "structures.files.read_frfs reads FRFs as a model"
 
 
@@ -33,7 +34,7 @@ def of_sdynpy(source: Source) -> list[Table]:
     return _tables(read_sdynpy(source.path), source)
 
 
-def of_structs(source: Source) -> list[Table]:
+def of_structs(structs: dict[str, Any], source: Source) -> list[Table]:
     """Records of a MAT file with structs of Simcenter Testlab; none where no struct has their form.
 
     Raises
@@ -41,8 +42,44 @@ def of_structs(source: Source) -> list[Table]:
     InputError
         It is damaged, or all of these structs are over frequency.
     """
-    blocks = list(blocks_of(read_structs(source.data(), str(source.path))))
+    blocks = list(blocks_of(structs))
     return _tables([c for name, b in blocks for c in curves_of(name, b, str(source.path))], source) if blocks else []
+
+
+def tree_of(walk: Any, item: Any, place: str, depth: int) -> Any:
+    """A struct, a cell or an array of a MAT file of version 7.3, as `read_structs` gives those of level 5.
+
+    A struct is a group, a text a dataset of characters, a cell one of references into the same file.
+
+    Raises
+    ------
+    InputError
+        Structs that are nested too deep or hold too much, and what `Walk.dataset` refuses.
+    """
+    import h5py
+
+    walk.parts += 1
+    if depth > DEPTH or walk.parts > PARTS:
+        walk.source.refuse("structs are nested too deep, or hold too much", place, f"{DEPTH} levels, {PARTS} parts")
+    if isinstance(item, h5py.Group):
+        links = {name: item.get(name, getlink=True) for name in item}
+        return {
+            name: tree_of(walk, item[name], f"{place}/{name}", depth + 1)
+            for name, link in links.items()
+            if isinstance(link, h5py.HardLink)
+        }
+    if not isinstance(item, h5py.Dataset):
+        return None
+    if h5py.check_ref_dtype(item.dtype) is h5py.Reference:
+        if item.external or item.is_virtual or (item.size or 0) > PARTS:
+            walk.source.refuse("a cell lies outside the file, or holds too much", place, f"{PARTS} parts in the file")
+        return [tree_of(walk, item.file[ref], place, depth + 1) for ref in item[()].T.ravel(order="F") if ref]
+    values = walk.dataset(item, place)
+    if values is None:
+        return None
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, np.ravel(values).astype(int).tolist()))
+    return values.T
 
 
 def refuse_frfs(names: Sequence[str] | None, source: Source) -> None:

@@ -6,6 +6,7 @@ so themselves (ROS REP 103 and the definitions of geometry_msgs and sensor_msgs)
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import struct
 from collections.abc import Callable, Iterator
@@ -30,6 +31,7 @@ UNITS = {
     ("Imu", "linear_acceleration"): "m/s^2", ("Imu", "angular_velocity"): "rad/s", ("Imu", "orientation"): "arbitrary",
     ("PointStamped", "point"): "m", ("FluidPressure", "fluid_pressure"): "Pa", ("Range", "range"): "m",
 }  # fmt: skip
+ROS = ("cdr", "ros1")  # encodings that rosbags reads
 PACKAGES = ("geometry_msgs", "sensor_msgs")
 Decoder = Callable[[bytes], Any]
 
@@ -102,7 +104,12 @@ def load_mcap(source: Source, options: Options) -> list[Table]:
     flags: tuple[Flag, ...] = ()
     if declared is not None and declared > count:
         flags = (truncated(count, declared, "messages at least"),)
-    notes = [f"passed over: {', '.join(f'{t} ({e} messages)' for t, e in list(passed.items())[:20])}"] if passed else []
+    listed = ", ".join(f"{t} ({e} messages)" for t, e in list(passed.items())[:20])
+    if passed and not topics:
+        lacks = importlib.util.find_spec("rosbags") is None and any(e in ROS for e in passed.values())
+        source.refuse("no topic of the file is read", listed, "JSON, ROS 2 (cdr) or ROS 1 messages",
+                      "pip install 'loadid[io]'" if lacks else "record it as JSON or ROS messages")  # fmt: skip
+    notes = [f"passed over: {listed}"] if passed else []
     return _tables(list(topics.values()), flags, notes, source)
 
 
@@ -127,7 +134,7 @@ def _decoder(channel: Any, schema: Any) -> Decoder | None:
     """What turns the bytes of a message into an object; None for an encoding that is not read."""
     if channel.message_encoding == "json":
         return json.loads
-    if schema is None or channel.message_encoding not in ("cdr", "ros1"):
+    if schema is None or channel.message_encoding not in ROS or importlib.util.find_spec("rosbags") is None:
         return None
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 

@@ -34,8 +34,7 @@ def load(source: Source, options: Options) -> list[Table]:
 
     tables, passed = [], []
     with MDF(source.place or source.path) as file:
-        declared = sum(g.channel_group.cycles_nr * max(1, len(g.channels)) for g in file.groups)
-        source.allow(8 * declared, "the file")
+        source.allow(sum(_size(g) for g in file.groups), "the file")
         start = file.start_time.timestamp()
         for index in range(len(file.groups)):
             table = _table(file, index, source)
@@ -52,6 +51,13 @@ def load(source: Source, options: Options) -> list[Table]:
     if passed and not tables:
         source.refuse("the file holds no record over time", ", ".join(passed[:20]), "channel groups with a time master")
     return tables
+
+
+def _size(group: Any) -> int:
+    """Bytes that the records of a channel group declare, or those that its channels become, whichever are more."""
+    about = group.channel_group
+    record = about.samples_byte_nr + getattr(about, "invalidation_bytes_nr", 0)
+    return int(about.cycles_nr) * max(int(record), 8 * len(group.channels))
 
 
 def _table(file: Any, index: int, source: Source) -> Table | str:

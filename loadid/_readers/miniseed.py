@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from structures._flags import Flag
 
-from .source import COLUMNS, Options, Source, Table, register, truncated
+from .source import COLUMNS, Options, Source, Table, register, seconds_of, truncated
 
 GRID = 0.01  # steps by which channels of one record may be apart
 MISSING = 0.25  # share of a record that may be gaps; beyond, its pieces are records
@@ -142,5 +142,5 @@ def _table(group: list[_Piece], flags: tuple[Flag, ...], source: Source) -> Tabl
         dt=step * NANO,
         flags=flags,
         notes=tuple(notes),
-        start=first * NANO,
+        start=seconds_of(first),
     )

@@ -211,7 +211,13 @@ def since(stamps: NDArray[np.datetime64]) -> tuple[NDArray[np.float64], float | 
         return np.full(len(stamps), np.nan), None
     first = stamps[good][0].astype("datetime64[ns]")
     away = (stamps.astype("datetime64[ns]") - first).astype(np.int64)
-    return np.where(good, away / 1e9, np.nan), float(first.astype(np.int64)) / 1e9
+    return np.where(good, away / 1e9, np.nan), seconds_of(int(first.astype(np.int64)))
+
+
+def seconds_of(nanoseconds: int) -> float:
+    """Nanoseconds since 1970 in s, to the last bit: as a float they are counted in steps of 256."""
+    whole, part = divmod(nanoseconds, 10**9)
+    return whole + part / 1e9
 
 
 Loader = Callable[[Source, Options], list[Table]]

@@ -43,7 +43,7 @@ def load(source: Source, options: Options) -> list[Table]:
     names = [""] if len(runs) == 1 else [f"run {k + 1}" for k in range(len(runs))]
     tables = [_table(run, name, file, source) for run, name in zip(runs, names, strict=True)]
     passed = [f for f in file.functions if f.head.function != TIME and f not in others]
-    note = (f"passed over: {_said(passed)}",) if passed else ()
+    note = (f"passed over: {_said(passed)}; structures.files.read_frfs reads FRFs as a model",) if passed else ()
     return [replace(t, flags=tuple(strange), notes=(*t.notes, *note)) for t in tables]
 
 

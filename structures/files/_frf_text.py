@@ -21,18 +21,19 @@ from ._uff import ratio
 
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".tab", ".frf")
 BUDGET = 2**28  # bytes of a file
-FORMS = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
+DELIMITERS = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
 _FREQUENCY = re.compile(r"(?:freq\w*|fr[eé]quence|f|hz|linie|line)\b.*|.*\bfrequen(?:cy|z)\b.*", re.IGNORECASE)
 _PARTS = {
     "real": r"re|real|realteil|r[eé]el(?:le)?", "imag": r"im|imag|imaginary|imagin[aä]rteil|imaginaire",
-    "magnitude": r"mag|magnitude|abs|amp|amplitude|betrag|modulus?|module", "phase": r"phase?|ph|arg|angle|winkel",
+    "magnitude": r"mag|magnitude|abs|amp|amplitude|betrag|modulus?|module", "phase": r"phase?|phi|ph|arg|angle|winkel",
     "coherence": r"coh|coherence|koh[aä]renz|coh[eé]rence",
 }  # fmt: skip
 _WORDS = {part: re.compile(rf"(?<![^\W_])(?:{words})(?![^\W_])(?:[\s_]*part)?", re.IGNORECASE)
           for part, words in _PARTS.items()}  # fmt: skip
 _WITH_UNIT = re.compile(r"(?P<name>[^\[\]]*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))?\s*", re.DOTALL)
 _FORM = re.compile(r"[+-]?\d*(?:[.,](?P<decimals>\d*))?(?:[eEdD][+-]?(?P<exponent>\d+))?", re.ASCII)
-LONGEST = 20_000  # characters of a heading
+NAME, LONGEST = 200, 100_000  # characters of the name of a column, and of all of them
+_FORMS = {"real": ("real", "imag"), "magnitude": ("magnitude", "phase")}
 _SHOWN = {"real": "real and imaginary part", "magnitude": "magnitude and phase"}
 
 
@@ -49,26 +50,28 @@ class Pair:
 def pairs_of(names: Sequence[str]) -> list[Pair] | None:
     """FRFs among the columns of a table, by their headings without units; None where it is no table of FRFs.
 
-    The first column is the frequency; every other one is half of a pair, or a coherence.
+    The first column is the frequency; every other one is half of a pair, or a coherence. Of an FRF in both forms its
+    real and imaginary part are taken; headings that come again belong to the next FRF.
     """
-    if len(names) < 3 or not _FREQUENCY.fullmatch(names[0].strip()):
+    if len(names) < 3 or any(len(n) > NAME for n in names) or not _FREQUENCY.fullmatch(names[0].strip()):
         return None
-    halves: dict[str, dict[str, int]] = {}
+    parts: dict[str, dict[str, list[int]]] = {}
     for column, name in enumerate(names[1:], 1):
         part = next((p for p, word in _WORDS.items() if word.search(name)), None)
         if part is None:
             return None
-        base = _WORDS[part].sub(" ", name, count=1).strip(" _-:,.()")
-        if part != "coherence" and halves.setdefault(re.sub(r"\s+", " ", base), {}).setdefault(part, column) != column:
-            return None
+        rest = _WORDS[part].sub(" ", name, count=1).strip(" _:,.()|")
+        base = re.sub(r"\s+", " ", re.sub(r"^-\s|\s-$", "", rest)).strip()
+        if part != "coherence":
+            parts.setdefault(base, {}).setdefault(part, []).append(column)
     found = []
-    for base, parts in halves.items():
-        form = "real" if set(parts) == {"real", "imag"} else "magnitude"
-        if form == "magnitude" and set(parts) != {"magnitude", "phase"}:
+    for base, columns in parts.items():
+        form = next((f for f, both in _FORMS.items() if set(both) <= set(columns)), None)
+        if form is None or len({len(c) for c in columns.values()}) > 1:
             return None
-        found.append(
-            Pair(base, form, *(parts[p] for p in (("real", "imag") if form == "real" else ("magnitude", "phase"))))
-        )
+        both = list(zip(*(columns[p] for p in _FORMS[form]), strict=True))
+        again = [base] if len(both) == 1 else [f"{base} {k + 1}".strip() for k in range(len(both))]
+        found += [Pair(name, form, *places) for name, places in zip(again, both, strict=True)]
     return found or None
 
 
@@ -152,7 +155,7 @@ def _table(path: Path, where: str) -> tuple[list[str], list[str], NDArray[np.flo
         refuse(where, "the file cannot be read", error.strerror or error, "a file that may be read", "check the path")
     text = _decoded(data, where)
     lines = [(k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip()]
-    for separator, decimal in FORMS:
+    for separator, decimal in DELIMITERS:
         rows = [_numbers(line, separator, decimal) for _, line in lines]
         width = next((len(r) for r in reversed(rows) if r), 0)
         first = next((k for k, r in enumerate(rows) if r and len(r) == width), 0)
@@ -242,9 +245,12 @@ def _words(line: str, width: int) -> list[str]:
 
 
 def parted(cell: str) -> tuple[str, str]:
-    """Name and unit of a heading."""
-    match = _WITH_UNIT.fullmatch(cell.strip())
+    """Name and unit of a heading; round brackets may hold a name, Re(S11), as well as a unit."""
+    match = _WITH_UNIT.fullmatch(cell.strip()) if len(cell) <= NAME else None
     if match is None:
         return cell.strip(), ""
-    text = match["square"] if match["square"] is not None else match["round"]
-    return match["name"], (text or "").strip()
+    if match["square"] is not None:
+        return match["name"], match["square"].strip()
+    text = (match["round"] or "").strip()
+    unit = units.known(text) or ratio(text) is not None or text.lower().startswith(("db", "°", "deg", "rad"))
+    return (match["name"], text) if unit else (cell.strip(), "")

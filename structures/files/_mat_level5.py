@@ -50,7 +50,7 @@ def is_level5(head: bytes) -> bool:
 def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """Arrays of a file by their names, as MATLAB indexes them, and the kinds of the variables that are not read.
 
-    A text becomes an array of one string.
+    A text becomes an array of one string, a matrix of characters one of a string for each row.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class _Reader:
             _, value = self.matrix(data, whole, at)
             if isinstance(value, str):
                 return name, None
-            return name, value.item() if value.dtype.kind == "U" else value
+            return name, value.item() if value.dtype.kind == "U" and value.size == 1 else value
         count, fields = math.prod(sizes), [""]
         if kind == _STRUCT:
             width_tag = self.tag(data, beyond)
@@ -217,7 +217,7 @@ class _Reader:
         self.allow(16 * count, at)
         real_tag = self.tag(data, start)
         if kind == _CHAR:
-            return name, self.text(data, real_tag)
+            return name, self.text(data, real_tag, sizes)
         part = self.part(data, real_tag, count, kind, name, at)
         beyond = real_tag.beyond
         if flags & 0x0800:
@@ -246,12 +246,14 @@ class _Reader:
             _refuse(self.path, "a data element is cut", f"{tag.size} bytes", f"a multiple of {dtype.itemsize}", at)
         return np.frombuffer(data, dtype, tag.size // dtype.itemsize, tag.start)
 
-    def text(self, data: bytes, tag: Tag) -> NDArray[Any]:
-        """One string; what is no text in it is replaced."""
+    def text(self, data: bytes, tag: Tag, sizes: tuple[int, ...]) -> NDArray[Any]:
+        """One string, or one for each row of a matrix of characters; what is no text in it is replaced."""
         raw = data[tag.start : tag.start + tag.size]
-        if tag.type in (4, _UTF16):
-            return np.array(raw.decode("utf-16-le" if self.order == "<" else "utf-16-be", "replace"))
-        return np.array(raw.decode("utf-8", "replace"))
+        wide = "utf-16-le" if self.order == "<" else "utf-16-be"
+        text = raw.decode(wide if tag.type in (4, _UTF16) else "utf-8", "replace")
+        if len(sizes) == 2 and sizes[0] > 1 and len(text) == sizes[0] * sizes[1]:  # stored by columns
+            return np.array([text[k :: sizes[0]].rstrip(" \0") for k in range(sizes[0])])
+        return np.array(text)
 
 
 def _refuse(path: str, what: str, found: object, expected: object, at: int = 0) -> NoReturn:

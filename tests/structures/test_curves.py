@@ -9,6 +9,7 @@ from loadid._readers import scan
 from loadid._readers.source import NotStated
 from structures.errors import InputError
 from structures.files import read_frfs
+from tests.benchmarks.fuzz import mutant
 
 F = np.arange(1.0, 9.0) * 2.5
 RNG = np.random.default_rng(3)
@@ -176,6 +177,9 @@ POLAR = [F, abs(H[:, 0, 0]), np.angle(H[:, 0, 0], deg=True)]
         ("Frequenz [Hz];Betrag 1+Z/5+Z [g/N];Phase 1+Z/5+Z [°]", POLAR, ";", ",", G),
         ("# f [Hz]  Re [m/s^2/N]  Im [m/s^2/N]", PARTS[:3], " ", ".", 1),
         ("Freq (kHz),Mag 1+Z/5+Z (mm/s/N),Phase 1+Z/5+Z (rad)", RADIANS, ",", ".", 1e-3),
+        ('"f [kHz]","Re(1+Z/5+Z)[g/N]","Im(1+Z/5+Z)[g/N]"', [F / 1e3, *PARTS[1:3]], ",", ".", G),
+        ("Frequency;Real 1+Z/5+Z [g/N];Imaginary 1+Z/5+Z;Amplitude 1+Z/5+Z;Angle 1+Z/5+Z", [*PARTS[:3], *POLAR[1:]],
+         ";", ".", G),
         ("Frequency [Hz],H1 1+Z/5+Z Real [g/N],H1 1+Z/5+Z Imag,Coherence", [*PARTS[:3], F * 0 + 1], ",", ".", G),
     ],
 )  # fmt: skip
@@ -189,6 +193,13 @@ def test_tables_of_analysers(tmp_path, heading, columns, separator, decimal, sca
     np.testing.assert_allclose(model.frequencies, F, rtol=1e-9)
     named = "1Z+" in heading or "1+Z" in heading
     assert (model.sensors[0].label, model.loads[0].label) == (("1+Z", "5+Z") if named else ("response", "reference"))
+
+
+def test_headings_that_come_again_are_the_next_frf(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("frequency;real [g/N];imag;real [g/N];imag\n" + rows(PARTS, ";"))
+    model = read_frfs(path, responses=["1+Z", "2+Z"], references=["5+Z"])
+    np.testing.assert_allclose(model.H[:, :, 0], H[:, :, 0] * G, rtol=1e-8)
 
 
 def test_names_of_a_table_that_has_none(tmp_path):
@@ -234,3 +245,82 @@ def test_a_record_with_words_like_those_of_frfs_is_still_a_record(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("time [s],real load [N],phase [rad]\n" + rows([T, X[:, 0], X[:, 1]]))
     assert loadid.read(path).labels == ("real load", "phase")
+
+
+def test_mutants(tmp_path):
+    """100 damaged copies of each file: nothing but an InputError leaves `read_frfs` or `read`."""
+    made = [
+        (read_frfs, sdynpy(tmp_path / "a.npz", 4, F, H[:, :, 0].T, [[(1, 3), (5, 3)], [(2, -1), (5, 3)]])),
+        (read_frfs, mat(tmp_path / "b.mat", False, FRF=block(H[:, 0], "g/N", x="Hz", kind="FRF", name="1:+Z/5:+Z"))),
+        (loadid.read, mat(tmp_path / "c.mat", False, Signal=block(X, "g", name=cell("a", "b")))),
+        (loadid.read, sdynpy(tmp_path / "d.npz", 1, T, X.T, [[(1, 3)], [(2, -1)]])),
+    ]
+    table = tmp_path / "e.csv"
+    table.write_text("Frequency [Hz],Real 1+Z/5+Z [g/N],Imag 1+Z/5+Z [g/N]\n" + rows(PARTS[:3]))
+    made.append((read_frfs, table))
+    for read, path in made:
+        stated = {"units": {0: "N", 1: "g"}} if read is loadid.read else {"response_unit": "g", "reference_unit": "N"}
+        data, place, refused = path.read_bytes(), tmp_path / f"mutant{path.suffix}", 0
+        for seed in range(100):
+            place.write_bytes(mutant(data, seed)[1])
+            try:
+                read(place, **stated)
+            except InputError:
+                refused += 1
+        assert refused > 60, path.name
+
+
+def mat73(path, tree):
+    """A file as MATLAB writes it with -v7.3: groups for structs, references for cells, characters as numbers."""
+    import h5py
+
+    def put(group, name, value):
+        if isinstance(value, dict):
+            below = group.create_group(name)
+            below.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key, one in value.items():
+                put(below, key, one)
+        elif isinstance(value, np.ndarray) and value.dtype == object:
+            refs = np.empty(value.T.shape, h5py.ref_dtype)
+            for k, text in enumerate(value.ravel()):
+                put(group.file["#refs#"], f"{name}{k}", text)
+                refs[k, 0] = group.file["#refs#"][f"{name}{k}"].ref
+            group.create_dataset(name, data=refs, dtype=h5py.ref_dtype).attrs["MATLAB_class"] = np.bytes_("cell")
+        elif isinstance(value, str):
+            codes = np.array([[ord(c)] for c in value], "u2")
+            group.create_dataset(name, data=codes).attrs["MATLAB_class"] = np.bytes_("char")
+        else:
+            group.create_dataset(name, data=np.atleast_2d(value).T).attrs["MATLAB_class"] = np.bytes_("double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_group("#refs#")
+        for name, value in tree.items():
+            put(file, name, value)
+    mark = b"MATLAB 7.3 MAT-file".ljust(116) + bytes(8) + b"\x00\x02IM"
+    path.write_bytes(mark + path.read_bytes()[128:])
+    return path
+
+
+def test_structs_of_version_73(tmp_path):
+    signal = block(X, "g", factor=G, name=cell("3:Point1", "4:Point2"), primary_channel={"label": cell("P1", "P2")})
+    record = loadid.read(mat73(tmp_path / "x.mat", {"Signal": signal}))
+    assert (record.labels, record.units, record.dt) == (("P1", "P2"), ("g", "g"), 0.001)
+    np.testing.assert_array_equal(record.values, X * G)
+    with pytest.raises(InputError, match=r"holds no record.*other \(struct, cell or complex\)"):
+        loadid.read(mat73(tmp_path / "y.mat", {"other": {"a": 1.0, "b": "text"}}))
+
+
+def test_long_headings_cost_no_more_than_their_length(tmp_path):
+    import time
+
+    path = tmp_path / "x.csv"
+    for heading in (
+        "Frequency [Hz]," + "real(" * 40_000 + ",imag",
+        "f,re" + " [" * 40_000 + ",im",
+        "f " * 100_000 + ",re,im",
+    ):
+        path.write_text(f"{heading}\n" + rows(PARTS[:3]))
+        begun = time.process_time()
+        with pytest.raises(InputError):
+            read_frfs(path)
+        assert time.process_time() - begun < 2

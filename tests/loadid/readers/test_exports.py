@@ -314,3 +314,10 @@ def test_metadata_of_arrow_that_are_no_json(tmp_path):
     bare = pa.table({"F": F}, schema=pa.schema([("F", pa.float64())], metadata={"dt": "-1"}))
     with pytest.raises(InputError, match="step is not positive"):
         read(parquet(tmp_path / "y.parquet", bare), units={"F": "N"})
+
+
+def test_a_begin_is_kept_to_the_last_bit(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    stamps = np.datetime64("2026-11-24T15:38:01.25", "ns") + np.arange(16) * np.timedelta64(1, "ms")
+    (table,) = scan(parquet(tmp_path / "x.parquet", pa.table({"when": stamps, "F": F})))
+    assert table.start == dt.datetime(2026, 11, 24, 15, 38, 1, 250_000, dt.UTC).timestamp()

@@ -111,6 +111,18 @@ def test_topics_are_records_and_nested_fields_channels(tmp_path, compression):
     assert len(read_all(tmp_path / "x.mcap", units=dict.fromkeys((*one.columns[1:], "/two.x"), "N"))) == 2
 
 
+def test_topics_that_are_all_unknown(tmp_path):
+    writer = pytest.importorskip("mcap.writer")
+    with (tmp_path / "x.mcap").open("wb") as stream:
+        file = writer.Writer(stream)
+        file.start()
+        topic = file.register_channel("/p", "protobuf", file.register_schema("P", "protobuf", b""))
+        file.add_message(topic, 1, b"", 1)
+        file.finish()
+    with pytest.raises(InputError, match=r"no topic of the file is read.*/p \(protobuf messages\).*JSON"):
+        read(tmp_path / "x.mcap")
+
+
 def test_a_recording_that_was_not_finished_is_read_and_said(tmp_path):
     path = mixed(tmp_path / "x.mcap")
     whole = path.read_bytes()

@@ -145,12 +145,14 @@ print([m for m in ("scipy", "h5py", "matplotlib") if m in sys.modules])
 
 @pytest.mark.parametrize("suffix", SMALL)
 def test_damaged_files(tmp_path, suffix):
-    """300 mutants: nothing but an InputError leaves a reader, nothing hangs, no declared length is cut silently."""
+    """300 mutants, 100 of other tools: nothing but an InputError, nothing hangs, no declared length is cut silently."""
     path = small_files(tmp_path)[suffix]
-    seen = list(outcomes(path, 300, tmp_path))
-    assert max(seconds for _, _, seconds in seen) < 5
+    count = 100 if suffix in WRITERS else 300
+    seen = list(outcomes(path, count, tmp_path))
+    library = next(f.library for f in formats() if f".{suffix}" in f.suffixes)  # imported anew after a hang
+    assert max(seconds for _, _, seconds in seen) < (8 if library else 5)
     cut = [outcome for kind, outcome, _ in seen if kind == "truncated"]
-    assert len(cut) > 80
+    assert len(cut) > 0.26 * count
     if suffix in ("npy", "npz", "h5", "parquet", "arrow", "xlsx", "mf4", "bag", "db3"):
         assert set(cut) == {"refused"}
     if suffix in ("tdms", "wav", "mcap", "mseed"):  # what is there is read, and flagged
@@ -161,4 +163,4 @@ def test_damaged_files(tmp_path, suffix):
         assert cut.count("shorter") <= 2
         assert "other values" not in cut
     said = ("refused", "flagged") if suffix == "wav" else ("refused",)
-    assert sum(outcome in said for _, outcome, _ in seen) > 60
+    assert sum(outcome in said for _, outcome, _ in seen) > 0.2 * count
