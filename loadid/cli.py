@@ -24,7 +24,7 @@ GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
-    "demo", "info", "check", "calibrate", "identify", "track", "batch", "serve",
+    "demo", "info", "check", "model", "calibrate", "identify", "track", "batch", "serve", "doctor",
     "completion",
 )  # fmt: skip
 

@@ -9,12 +9,12 @@ from tests.data import measured
 from tests.loadid.test_cli import installed, run
 
 __all__ = ["installed", "run"]
-READ = "--fs 3200 --unit drive_V=V --unit force_lbf=lbf --unit acc_g=g".split()
-CALIBRATE = (
-    "--record test1 --excitation shaker --force force_lbf --response acc_g --between 3:19.7 --segment 320 "
-    "--coherence 0.99 --band 80:170 --frf-error 0.05 --interpolate"
-).split()
-IDENTIFY = "--family frequency --signal transient --choice 0".split()
+READ = ["--fs", "3200", "--unit", "drive_V=V", "--unit", "force_lbf=lbf", "--unit", "acc_g=g"]
+CALIBRATE = [
+    "--record", "test1", "--excitation", "shaker", "--force", "force_lbf", "--response", "acc_g", "--between", "3:19.7",
+    "--segment", "320", "--coherence", "0.99", "--band", "80:170", "--frf-error", "0.05", "--interpolate",
+]  # fmt: skip
+IDENTIFY = ["--family", "frequency", "--signal", "transient", "--choice", "0"]
 
 
 @pytest.fixture
