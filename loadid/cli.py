@@ -24,7 +24,7 @@ GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
-    "demo", "info", "check", "model", "calibrate", "identify", "track", "batch", "serve", "doctor",
+    "demo", "info", "check", "model", "calibrate", "design", "identify", "track", "batch", "serve", "convert", "doctor",
     "completion",
 )  # fmt: skip
 
