@@ -42,7 +42,6 @@ from structures import units as _units
 from structures._advice import Advice, either, from_plain, to_plain
 from structures._flags import Flag
 from structures.errors import InputError
-from structures.files import _storage as storage
 
 from .._record import Record, find
 from .settle import check_unit_keys, outlined, settle
@@ -201,7 +200,7 @@ def _open(path: str | os.PathLike[str]) -> Source:
     if not os.fspath(path):
         raise InputError("the path is empty", where="read", found="''", expected="a file name", hint="name a file")
     try:
-        place = storage.as_path(path)
+        place = Path(path)
         if not place.exists():
             near = _neighbours(place)
             raise InputError(
