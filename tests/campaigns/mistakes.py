@@ -443,7 +443,10 @@ def judged(one: Mistake, at: Folder) -> Outcome:
         (at.path / name).unlink(missing_ok=True)
     argv = one.argv(at)
     with contextlib.chdir(at.path), one.patch():
-        code, out, err = run(argv)
+        try:
+            code, out, err = run(argv)
+        except Exception as error:  # what a user would see as a traceback
+            return Outcome(one, 1, f"a traceback: {type(error).__name__}", str(error))
     said = " ".join((err if code else out).split())
     return Outcome(one, code, verdict(one, code, said, at), said)
 
