@@ -14,6 +14,7 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -424,7 +425,9 @@ def run(argv: Argv) -> tuple[int, str, str]:
     from loadid import cli
 
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    own = EntryPoints([EntryPoint("info", "loadid._commands.info:command", cli.GROUP)])  # the others are its own too
+    known = mock.patch.object(cli, "entry_points", lambda group: own)
+    with known, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = cli.main([str(a) for a in argv])
     return code, out.getvalue(), err.getvalue()
 
