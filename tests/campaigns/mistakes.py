@@ -112,7 +112,7 @@ LAST = (3, PEAKS[3])
 
 def spelled(**settings: Any) -> Callable[[Folder], Argv]:
     """The last hit as another program writes it."""
-    return lambda at: at.identify(at.csv("other.csv", table(*LAST), **settings))
+    return lambda at: at.identify(at.csv(**{"name": "other.csv", "values": table(*LAST), **settings}))
 
 
 def edited(
@@ -376,7 +376,7 @@ MISTAKES = (
     # which file
     Mistake("spaces in path", lambda at: at.identify(at.csv("my last hit.csv", table(*LAST))), (0,)),
     Mistake("unknown suffix", content("log.xyz", "1,2\n3,4\n"), says=("suffix|format", "csv|CSV")),
-    Mistake("CSV named xlsx", lambda at: at.identify(at.csv("log.xlsx", table(*LAST))), (0, 3), says=("csv|plain text",)),
+    Mistake("CSV named xlsx", spelled(name="log.xlsx"), (0, 3), says=("csv|plain text",)),
     Mistake("real xlsx", xlsx, (0,)),
     Mistake("TDMS", tdms, (0,)),
     Mistake("MF4", mf4, (0,)),
