@@ -24,7 +24,8 @@ GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
-    "demo", "info", "check", "calibrate", "modes", "identify", "compare", "track", "batch", "serve",
+    "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "track", "batch", "serve",
+    "convert", "doctor",
     "completion",
 )  # fmt: skip
 

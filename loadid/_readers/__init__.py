@@ -53,7 +53,6 @@ from structures import units as _units
 from structures._advice import Advice, either, from_plain, to_plain
 from structures._flags import Flag
 from structures.errors import InputError
-from structures.files import _storage as storage
 
 from .._names import find
 from .._record import Record

@@ -14,6 +14,7 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -111,7 +112,7 @@ LAST = (3, PEAKS[3])
 
 def spelled(**settings: Any) -> Callable[[Folder], Argv]:
     """The last hit as another program writes it."""
-    return lambda at: at.identify(at.csv("other.csv", table(*LAST), **settings))
+    return lambda at: at.identify(at.csv(**{"name": "other.csv", "values": table(*LAST), **settings}))
 
 
 def edited(
@@ -352,8 +353,8 @@ MISTAKES = (
     Mistake("repeated names: identify", doubled("identify"), says=("a1", "columns 2 and 3|twice|doubled|repeated")),
     Mistake("repeated names: calibrate", doubled("calibrate"), says=("a1", "columns 2 and 3|twice|doubled|repeated")),
     # units
-    Mistake("degrees", units("deg"), says=("a1", "deg"), never=UNIT),
-    Mistake("mm for acceleration", units("mm"), says=("a1", "mm"), never=UNIT),
+    Mistake("degrees", units("deg"), says=("a1", "deg|angle"), never=UNIT),
+    Mistake("mm for acceleration", units("mm"), says=("a1", "mm|displacement"), never=UNIT),
     Mistake("g", scaled(2, 1 / 9.80665, HEAD.replace("a1 [m/s^2]", "a1 [g]")), (0,)),
     Mistake("G", units("G"), says=("did you mean|'g'|gauss| g ",), never=UNIT),
     Mistake("no units: identify", spelled(head=NAMES), says=("--unit a1=UNIT",)),
@@ -361,7 +362,7 @@ MISTAKES = (
     Mistake("ms", scaled(0, 1e3, HEAD.replace("time [s]", "time [ms]")), (0,)),
     Mistake("unicode labels", typed("--truth", "Kraft größte"), says=("Kraft größte", "F")),
     Mistake("quoted header", spelled(head=",".join(f'"{x}"' for x in HEAD.split(","))), (0,)),
-    Mistake("pandas index column", edited(indexed), (0,)),
+    Mistake("pandas index column", edited(indexed), (0, 3), says=("ch1|index|peak",)),
     # what is in the rows
     Mistake("NaN gap", edited(with_cell(400, 2, "NaN")), (0,)),
     Mistake("text OVERLOAD", edited(with_cell(400, 2, "OVERLOAD")), (0, 3), says=("OVERLOAD|missing",)),
@@ -375,7 +376,7 @@ MISTAKES = (
     # which file
     Mistake("spaces in path", lambda at: at.identify(at.csv("my last hit.csv", table(*LAST))), (0,)),
     Mistake("unknown suffix", content("log.xyz", "1,2\n3,4\n"), says=("suffix|format", "csv|CSV")),
-    Mistake("CSV named xlsx", lambda at: at.identify(at.csv("log.xlsx", table(*LAST))), (0, 3), says=("csv|CSV",)),
+    Mistake("CSV named xlsx", spelled(name="log.xlsx"), (0, 3), says=("csv|plain text",)),
     Mistake("real xlsx", xlsx, (0,)),
     Mistake("TDMS", tdms, (0,)),
     Mistake("MF4", mf4, (0,)),
@@ -403,7 +404,7 @@ MISTAKES = (
     Mistake("typo: option", typed("--chioce", "gcv"), (2,), says=("did you mean --choice",)),
     Mistake("typo: unit", typed("--unit", "a1=m/s^^2"), says=("m/s^^2", "did you mean|such as m/s^2|m/s^2")),
     Mistake("typo: unit channel", typed("--unit", "acc1=m/s^2"), says=("acc1", "a1")),
-    Mistake("unit of a wrong kind", typed("--unit", "a1=N"), says=("a1", "N"), never=UNIT),
+    Mistake("unit of a wrong kind", typed("--unit", "a1=N"), says=("a1", "N|force"), never=UNIT),
     # calibration
     Mistake("calibrate: wrong force", hits(force="a2", response="a1"), says=("a2", "force")),
     Mistake("calibrate: one hit", lambda at: at.calibrate(logs=[at.log]), (0,), says=("two hits",)),
@@ -424,7 +425,9 @@ def run(argv: Argv) -> tuple[int, str, str]:
     from loadid import cli
 
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    own = EntryPoints([EntryPoint("info", "loadid._commands.info:command", cli.GROUP)])  # the others are its own too
+    known = mock.patch.object(cli, "entry_points", return_value=own)
+    with known, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = cli.main([str(a) for a in argv])
     return code, out.getvalue(), err.getvalue()
 
@@ -443,7 +446,10 @@ def judged(one: Mistake, at: Folder) -> Outcome:
         (at.path / name).unlink(missing_ok=True)
     argv = one.argv(at)
     with contextlib.chdir(at.path), one.patch():
-        code, out, err = run(argv)
+        try:
+            code, out, err = run(argv)
+        except Exception as error:  # what a user would see as a traceback
+            return Outcome(one, 1, f"a traceback: {type(error).__name__}", str(error))
     said = " ".join((err if code else out).split())
     return Outcome(one, code, verdict(one, code, said, at), said)
 
