@@ -596,7 +596,7 @@ add("vibration/profile", lambda: vibration.Profile([20.0, 80.0], [0.01, 0.04], "
 add("vibration/target", lambda: aimed(), lambda t: bits((t.frequencies, t.levels, t.kind)))
 add("vibration/limit", lambda: vibration.Limit("shaker 1", rms=2.0, unit="kN"), str)
 add("vibration/point", lambda: vibration.VirtualPoint("foot", {n: (x, (0, 0, 1)) for n, x in mounted.HITS.items()},
-                                                      motions=("Z", "RX", "RY")), lambda v: bits(v.columns()))  # fmt: skip
+    motions=("Z", "RX", "RY")), lambda v: bits(v.columns()))  # fmt: skip
 add("answer/bands", lambda: sources.octave_bands(3, 20.0, 2000.0))
 add("answer/validation", lambda: validate.validate(histories().estimate(p.pushed()[0], DT),
                                                    validate.Known(np.ones((p.N, 1)))), str)  # fmt: skip
