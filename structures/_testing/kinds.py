@@ -257,7 +257,12 @@ def feeds_back(
 
 
 def drive_point(sensor: Channel, load: Channel) -> int:
-    """1 where sensor and load sit on the same DOF, -1 where they point against each other, 0 elsewhere or unknown."""
+    """1 where sensor and load sit on the same DOF, -1 where they point against each other, 0 elsewhere or unknown.
+
+    The voltage of a shaker is no force: its phase is that of amplifier and coil.
+    """
+    if load.quantity == "voltage":
+        return 0
     try:
         here, there = Dof.parse(sensor.label), Dof.parse(load.label)
     except InputError:

@@ -262,7 +262,7 @@ def _table(
     f: Real, H: Complex, sensors: tuple[Channel, ...], loads: tuple[Channel, ...], variance: Real | None
 ) -> ReciprocalPairs | None:
     rows = {i: d for i, c in enumerate(sensors) if c.quantity in ORDER and (d := _dof(c)) is not None}
-    columns = {j: d for j, c in enumerate(loads) if (d := _dof(c)) is not None}
+    columns = {j: d for j, c in enumerate(loads) if c.quantity != "voltage" and (d := _dof(c)) is not None}
     drive = tuple((i, j) for i, d in rows.items() for j, e in columns.items() if d.key == e.key)
     pairs = tuple(
         ((i, k), (j, m)) for (i, m), (j, k) in combinations(drive, 2) if rows[i].key != rows[j].key

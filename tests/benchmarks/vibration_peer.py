@@ -1,7 +1,7 @@
 """Runs forcefinder and sdynpy, or pyFBS, on the cases of `tests.benchmarks.vibration`, where they are installed.
 
 ``python vibration_peer.py {forcefinder,pyfbs} cases.npz answers.npz``. Imports nothing of this project, uses public
-calls only, and writes cross spectra of drives (lines, loads, loads), or complex forces (lines, loads), with CPU seconds.
+calls only, and writes cross spectra of drives (lines, loads, loads) or complex forces (lines, loads), and CPU seconds.
 """
 
 import os

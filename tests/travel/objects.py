@@ -44,6 +44,7 @@ from loadid import (
     recommend,
     sources,
     validate,
+    vibration,
 )
 from loadid._inverse.convolved.path import ConvolvedPath
 from loadid._inverse.problem import LinearProblem
@@ -92,6 +93,7 @@ from tactile import (
     Wrench,
 )
 from tactile import design as skins
+from tests import lab, mounted
 from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 from tests.golden import problems as p
 from tests.inverse.statespace.cases import case
@@ -473,6 +475,12 @@ class Kind:
     ask: Callable[[Any], Any]
 
 
+def aimed() -> vibration.Target:
+    """Autospectra of a field on nine lines."""
+    field = lab.field(9).restricted(list(lab.TARGET))
+    return vibration.Target(field.frequencies, field.autospectra, field.channels)
+
+
 KINDS: dict[str, Kind] = {}
 
 
@@ -578,6 +586,17 @@ add("answer/sweep of Q", lambda: q_sweep(p.housed(), p.service()[:200], DT, prio
     lambda s: bits((s.factors, s.loglik, s.corner)))  # fmt: skip
 add("answer/contributions", lambda: sources.contributions(lines()[0].model, lines()[0].estimate(lines()[1])),
     lambda c: bits(repr(c)))  # fmt: skip
+add("answer/drives", lambda: vibration.find_drives(lab.shaken(9), aimed()),
+    lambda d: bits((d.matrix, d.summary())))  # fmt: skip
+add("answer/transfer paths", lambda: vibration.transfer_paths(
+    (case := mounted.made(12)).model, Spectra(case.model.frequencies, case.operation, case.model.sensors),
+    validation=["k1"]), str)  # fmt: skip
+add("vibration/profile", lambda: vibration.Profile([20.0, 80.0], [0.01, 0.04], "g^2/Hz"),
+    lambda x: bits(x.at([40.0])))  # fmt: skip
+add("vibration/target", lambda: aimed(), lambda t: bits((t.frequencies, t.levels, t.kind)))
+add("vibration/limit", lambda: vibration.Limit("shaker 1", rms=2.0, unit="kN"), str)
+add("vibration/point", lambda: vibration.VirtualPoint("foot", {n: (x, (0, 0, 1)) for n, x in mounted.HITS.items()},
+    motions=("Z", "RX", "RY")), lambda v: bits(v.columns()))  # fmt: skip
 add("answer/bands", lambda: sources.octave_bands(3, 20.0, 2000.0))
 add("answer/validation", lambda: validate.validate(histories().estimate(p.pushed()[0], DT),
                                                    validate.Known(np.ones((p.N, 1)))), str)  # fmt: skip

@@ -42,7 +42,7 @@ def test_stated_coherence_that_responses_can_have_comes_as_it_was_stated() -> No
 
 def test_the_nearest_matrix_is_the_nearest() -> None:
     """Against a search over factors of unit rows, which is another way to write a matrix that responses have."""
-    N = np.array([[1, 0.9, -0.9j], [0.9, 1, 0.9], [0.9j, 0.9, 1]])
+    N = np.array([[1, 0.95, -0.3j], [0.95, 1, -0.8], [0.3j, -0.8, 1]])
     root = np.sqrt(target().levels)
     found = nearest(CrossSpectra(LINES, N * root[:, :, None] * root[:, None, :], channels=["a", "b", "c"], averages=9))
     got = found.matrix[0] / np.outer(root[0], root[0])

@@ -177,6 +177,9 @@ def test_match_trace_makes_the_summed_power_right_within_the_limits() -> None:
     assert np.allclose(raw.match_trace(quiet).level, 2 * once.level, rtol=1e-9)
     limited = find_drives(m, target, limits=[Limit("shaker 2", rms=float(raw.rms[1]))])
     assert limited.match_trace(0.2 * limited.response).rms[1] <= raw.rms[1] * (1 + 1e-9)
+    most = float(np.median(raw.level[:, 1]))
+    capped = find_drives(m, target, limits=[Limit("shaker 2", density=most)])
+    assert capped.match_trace(0.2 * capped.response).level[:, 1].max() <= most * (1 + 1e-9)
 
 
 # -- sine -------------------------------------------------------------------------------------------------------------
