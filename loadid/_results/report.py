@@ -13,6 +13,7 @@ from structures.errors import plain
 from .. import _page
 from .._page import Html, Section
 from .functionals import in_words
+from .shown import label
 from .summary import (
     CAUTIONS,
     DISC95,
@@ -84,7 +85,8 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
         Section("Provenance", provenance_table(estimate), folded=True),
     ]
     answer = _page.joined(_answer(estimate, rows), checked(estimate))
-    return _page.document(title, sections, about=about(estimate), answer=answer)
+    note = "  |  ".join(label(estimate))
+    return _page.document(title, sections, about=about(estimate), note=note, answer=answer)
 
 
 def fragment(estimate: LoadEstimate) -> str:
@@ -175,8 +177,8 @@ def _known(e: LoadEstimate, truth: ArrayLike | None) -> Html | str:
     if known.shape != e.load.shape:
         return ""  # the picture refuses it in words
     return _page.paragraphs(*(
-        (f"{label}, " if len(e.labels) > 1 else "") + comparison(against(e, known[:, j], j))
-        for j, label in enumerate(e.labels[:_SHOWN])
+        (f"{name}, " if len(e.labels) > 1 else "") + comparison(against(e, known[:, j], j))
+        for j, name in enumerate(e.labels[:_SHOWN])
         if np.any(known[:, j])
     ))  # fmt: skip
 
@@ -213,8 +215,8 @@ def _lines(e: LoadEstimate) -> Html | str:
 
     s, trusted = e.spectrum, e.spectrum.trust()
     rows = [
-        (label, f"{trusted[:, j].mean():.1%}", in_words(s.bands(j), 8) or "none")
-        for j, label in enumerate(e.labels[:_SHOWN])
+        (name, f"{trusted[:, j].mean():.1%}", in_words(s.bands(j), 8) or "none")
+        for j, name in enumerate(e.labels[:_SHOWN])
     ]
     head = ("load", f"lines predicted to {s.level:.0%} or better", "bands that are not trusted")
     return _page.joined(_page.table(rows, head), drawn(of_lines(e)))

@@ -331,6 +331,8 @@ const live = figure => {
     out.append(made("text", { x: 8, y: 16, "font-weight": "bold", fill: ink }, chart.title));
     out.append(made("text", { x: 8, y: 34, fill: ink }, `${chart.yName} — ${chart.curves.map(c => c.name).join(", ")}`));
     out.append(made("text", { x: W - right, y: H + head + 10, "text-anchor": "end", fill: ink }, chart.xName));
+    const note = figure.closest(".loadid").dataset.note;
+    if (note) out.append(made("text", { x: 8, y: H + head + 10, fill: ink, "font-size": 10 }, note));
     const inner = made("svg", { x: left, y: head + top, width: W - left - right, height: H - top - bottom, overflow: "visible" });
     const copy = (from, into) => {
       for (const child of from.children) {
