@@ -324,7 +324,7 @@ const live = figure => {
     prepare();
     const look = getComputedStyle(plot), [top, right, bottom, left] = ["Top", "Right", "Bottom", "Left"].map(s => parseFloat(look[`padding${s}`]));
     const { width: W, height: H } = plot.getBoundingClientRect(), head = 46;
-    const out = made("svg", { xmlns: SVG, width: W, height: H + head + 18, viewBox: `0 0 ${W} ${H + head + 18}`, "font-family": "sans-serif", "font-size": 12 });
+    const out = made("svg", { xmlns: SVG, width: W, height: H + head + 34, viewBox: `0 0 ${W} ${H + head + 34}`, "font-family": "sans-serif", "font-size": 12 });
     const paper = getComputedStyle(figure.closest(".loadid")).backgroundColor;
     const ink = getComputedStyle(figure).color;
     out.append(made("rect", { width: "100%", height: "100%", fill: paper }));
@@ -332,7 +332,7 @@ const live = figure => {
     out.append(made("text", { x: 8, y: 34, fill: ink }, `${chart.yName} — ${chart.curves.map(c => c.name).join(", ")}`));
     out.append(made("text", { x: W - right, y: H + head + 10, "text-anchor": "end", fill: ink }, chart.xName));
     const note = figure.closest(".loadid").dataset.note;
-    if (note) out.append(made("text", { x: 8, y: H + head + 10, fill: ink, "font-size": 10 }, note));
+    if (note) out.append(made("text", { x: 8, y: H + head + 27, fill: ink, "font-size": 10 }, note));
     const inner = made("svg", { x: left, y: head + top, width: W - left - right, height: H - top - bottom, overflow: "visible" });
     const copy = (from, into) => {
       for (const child of from.children) {
@@ -349,7 +349,7 @@ const live = figure => {
     };
     copy(plot, inner);
     out.append(inner);
-    return [new XMLSerializer().serializeToString(out), W, H + head + 18];
+    return [new XMLSerializer().serializeToString(out), W, H + head + 34];
   };
   const picture = () => {
     const [text, W, H] = alone(), image = new Image(), link = URL.createObjectURL(new Blob([text], { type: "image/svg+xml" }));
