@@ -5,6 +5,8 @@ One rule for README.md and every page of docs/. A page is run from top to bottom
 - a fenced block of ``python`` runs as it stands;
 - a fenced block of ``sh``, ``bash`` or ``console``, and an indented block whose lines begin with ``loadid`` or
   ``python -c``, is lines of a shell: ``loadid`` runs in this process, and must end with 0;
+- lines of a shell with words in capitals or in brackets (``loadid info FILE [--json]``) say how a command is used, and
+  are not run;
 - a fenced block of ``toml`` below a line ``<!-- file: plan.toml -->`` is written there;
 - a block below a line ``<!-- not run: WORD -->`` is left out, for one of the `REASONS`;
 - blocks of other languages are no examples to run.
@@ -41,6 +43,7 @@ REASONS = {
 FILES: dict[str, tuple[str, ...]] = {}
 SHELL = ("sh", "bash", "console", "shell")
 FIRST = ("loadid ", "python -c ")
+USAGE = re.compile(r"(?:^|\s)(?:\[|[A-Z]{2,}(?:\.\w+)?(?=\s|$))")
 MARK = re.compile(r"\s*<!-- (not run|file): (.+?) -->\s*")
 
 
@@ -60,6 +63,8 @@ class Block:
 
     @property
     def runs(self) -> bool:
+        if self.kind == "shell" and any(USAGE.search(" ".join(words)) for words in commands(self.text)):
+            return False
         return self.mark != "not run" and (self.kind != "toml" or self.mark == "file")
 
 

@@ -46,6 +46,8 @@ TEXT = """# A page
     loadid check a.csv \\
         --model m.h5
 
+    loadid info FILE [--json]
+
 text    indented
 
     a formula = 1
@@ -79,8 +81,8 @@ def test_one_rule_finds_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "page.md").write_text(TEXT)
     found = blocks.blocks("page.md")
     assert [(b.kind, b.line, b.mark, b.said, b.runs) for b in found] == [
-        ("shell", 3, "", "", True), ("shell", 13, "not run", "broker", False),
-        ("toml", 17, "file", "plan.toml", True), ("toml", 21, "", "", False), ("python", 25, "", "", True),
+        ("shell", 3, "", "", True), ("shell", 7, "", "", False), ("shell", 15, "not run", "broker", False),
+        ("toml", 19, "file", "plan.toml", True), ("toml", 23, "", "", False), ("python", 27, "", "", True),
     ]  # fmt: skip
     assert blocks.commands(found[0].text) == [
         ["loadid", "info", "a.csv"], ["loadid", "check", "a.csv", "--model", "m.h5"],
