@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from ._record import Record
 
-__all__ = ["Dataset", "beam_sources", "fleet", "hammer_test", "impact", "mast_wind", "wing_strains"]
+__all__ = ["Dataset", "beam_sources", "fleet", "hammer_test", "impact", "mast_wind", "modal_test", "wing_strains"]
 
 FINER = 4  # steps of a simulation per sample of its record
 
@@ -189,6 +189,55 @@ def mast_wind(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) ->
         _csv(folder, name, record, part)
         for name, part in (("commissioning.csv", slice(0, first)), ("today.csv", slice(first, None)))
     ]  # fmt: skip
+    return Dataset(model, record, force[::FINER], tuple(files))
+
+
+def modal_test(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) -> Dataset:
+    """A beam shaken with a random force that is measured, 16 s at 4096 Hz, and hit twice; one sensor at the force.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Where ``test.uff`` (accelerances of ``30+Z`` and ``14+Z`` over ``30+Z``), ``hit1.csv`` and ``hit2.csv`` (columns
+        ``time [s]``, ``F [N]``, ``a1 [m/s^2]``, ``a2 [m/s^2]``) are written.
+    seed : int
+        Of the force and of the noise, 1 % of the signals (of the hits 0.2 %).
+
+    Returns
+    -------
+    Dataset
+        Record of the shaken beam with the channels ``F``, ``30+Z``, ``14+Z``; five modes lie below 700 Hz.
+    """
+    import numpy as np
+
+    from structures import Channel, ForwardModel, beams, damping, loads, sensors
+
+    from ._record import Record
+
+    beam = beams.simply_supported(
+        length=1.0, section=beams.Section.rectangle(0.04, 0.01), material=beams.materials.steel, elements=40,
+        damping=damping.Modal(0.01),
+    )  # fmt: skip
+    model = ForwardModel(beam, [sensors.Accelerometer(f"{n}+Z") for n in (30, 14)], [loads.Point("30+Z", label="F")],
+                         modes=9)  # fmt: skip
+    dt, force_channel = 1 / 4096, Channel(label="F", quantity="force", unit="N")
+
+    def test(force: NDArray[Any], labels: Sequence[str], noise: float, seed: int, name: str) -> Record:
+        answer = _measured(model, force, dt, noise, seed, labels, name)
+        return Record(np.hstack([force[::FINER], answer.values]), dt, [force_channel, *answer.channels], name=name,
+                      simulated_by=answer.simulated_by)  # fmt: skip
+
+    samples = 65_536
+    force = np.repeat(10 * np.random.default_rng(seed).standard_normal((samples, 1)), FINER, axis=0)
+    record = test(force, ["30+Z", "14+Z"], 0.01, seed + 1, "shaken beam")
+    if folder is None:
+        return Dataset(model, record, force[::FINER])
+    H = model.frf(np.arange(1, 1601) * 0.5)
+    frfs = "".join(_universal(H[:, i, 0], n, 30, step=0.5) for i, n in enumerate((30, 14)))
+    files = [_written(folder, "test.uff", SI + frfs)]
+    for k, length in enumerate((0.0015, 0.002), 1):
+        pulse = _half_sine(8192, dt, peak=300.0, start=0.05, length=length)
+        files.append(_csv(folder, f"hit{k}.csv", test(pulse, ["a1", "a2"], 0.002, seed + 1 + k, "hit beam")))
     return Dataset(model, record, force[::FINER], tuple(files))
 
 

@@ -19,17 +19,19 @@ def test_a_seed_makes_the_same_files_and_another_one_others(name, tmp_path):
     same = [(a.read_bytes() == b.read_bytes()) for a, b in zip(first.files, again.files, strict=True)]
     assert all(same)
     new = [f.name for f, g in zip(first.files, other.files, strict=True) if f.read_bytes() != g.read_bytes()]
-    assert new == [f.name for f in first.files if f.name != "frfs.uff"]  # FRFs of the beam have no noise
+    assert new == [
+        f.name for f in first.files if f.name not in ("frfs.uff", "test.uff")
+    ]  # FRFs of the beam have no noise
 
 
 @pytest.mark.parametrize("name", SETS)
 def test_no_set_is_more_than_a_few_seconds_of_data(name):
     made = getattr(datasets, name)()
     assert not made.files
-    assert made.record.values.nbytes < 1e6
+    assert made.record.values.nbytes < 2e6
     assert made.record.simulated_by
     labels = [c.label for c in made.record.channels]
-    assert [c.label for c in made.model.sensors] == [one for one in labels if one != "hammer"]
+    assert [c.label for c in made.model.sensors] == [one for one in labels if one not in ("hammer", "F")]
 
 
 FILES = [("impact", "log.csv"), ("hammer_test", "unknown.csv"), ("wing_strains", "strains.csv"),
