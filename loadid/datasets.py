@@ -206,8 +206,8 @@ def modal_test(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) -
     Returns
     -------
     Dataset
-        Record of the shaken beam with the channels ``F``, ``30+Z``, ``14+Z``; of five modes below 700 Hz the fourth has a
-        node at the force, so that the test shows four.
+        Record of the shaken beam with the channels ``F``, ``30+Z``, ``14+Z``. Of five modes below 700 Hz the fourth has
+        a node at the force: the test shows four.
     """
     import numpy as np
 
