@@ -43,6 +43,7 @@ _PUBLIC = {
     "press_and_slide": "tactile._closed.presses",
 }
 _PARTS = {
+    "datasets": "tactile.datasets",
     "design": "tactile.design",
     "halfspace": "tactile._closed.halfspace",
     "live": "tactile.live",

@@ -112,15 +112,15 @@ def joined(*pieces: Html | str) -> Html:
 
 
 def document(
-    title: str, sections: Sequence[Section], *, about: str = "", answer: Html | str = "", script: str = CHARTS,
-    wide: bool = False,
+    title: str, sections: Sequence[Section], *, about: str = "", note: str = "", answer: Html | str = "",
+    script: str = CHARTS, wide: bool = False,
 ) -> str:  # fmt: skip
     """A whole page.
 
     Parameters
     ----------
-    title, about : str
-        Heading, and the line below it.
+    title, about, note : str
+        Heading, the line below it, and what stands on pictures that are saved from the page.
     sections : sequence of Section
     answer : Html or str
         What a reader must see first.
@@ -131,8 +131,8 @@ def document(
     """
     code, look, kept = text(script), text(STYLE), [section for section in sections if section.body.strip()]
     return environment().get_template("page.html").render(
-        title=title, about=about, answer=answer, sections=kept, style=look, script=code, style_hash=_hash(look),
-        script_hash=_hash(code), wide=wide,
+        title=title, about=about, note=note, answer=answer, sections=kept, style=look, script=code,
+        style_hash=_hash(look), script_hash=_hash(code), wide=wide,
     )  # fmt: skip
 
 

@@ -105,6 +105,8 @@ class Chart:
         """First and last place; of one point or of names with room beside it."""
         seen = [self.x, *(c.x for c in self.curves if c.x is not None)]
         first, last = min(float(np.nanmin(x)) for x in seen), max(float(np.nanmax(x)) for x in seen)
+        if first == last and self.x_log:
+            return first / 2, last * 2
         if self.names or first == last:
             return first - 0.5, last + 0.5
         if any(c.dots for c in self.curves):  # a dot at the end is seen whole
@@ -344,9 +346,10 @@ def numbers(chart: Chart) -> str:
         if len(x) > MOST:
             every = -(-len(x) // (MOST // 4))
             x, arrays = _thinned(x, arrays, every)
+        wide = any(_beyond(a) for a in arrays.values() if a is not None)
         parts.append({
             "name": curve.name, "look": curve.look, "dots": curve.dots, "x": _places(x),
-            **{key: _packed(a, "<f4") for key, a in arrays.items() if a is not None},
+            "wide": wide, **{key: _packed(a, "<f8" if wide else "<f4") for key, a in arrays.items() if a is not None},
         })  # fmt: skip
     told = {
         "title": chart.title, "xName": chart.x_name, "yName": chart.y_name, "xLog": chart.x_log, "yLog": chart.y_log,
@@ -379,6 +382,12 @@ def _places(x: Array) -> Any:
     if np.allclose(x, x[0] + step * np.arange(len(x)), rtol=0, atol=1e-6 * abs(step)):
         return [float(x[0]), step, len(x)]
     return _packed(x, "<f8")
+
+
+def _beyond(a: Array) -> bool:
+    """Whether the largest number of a curve leaves what float32 holds."""
+    top = float(np.max(np.abs(a), initial=0.0, where=np.isfinite(a)))
+    return top > 1e37 or 0 < top < 1e-30
 
 
 def _packed(a: Array, kind: str) -> str:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from structures.errors import InputError
 from structures.files._storage import as_path, replace
 
-from .._results.summary import NOT_VERIFIED, allowed, overridden
+from .._results.shown import label
+from .._results.summary import overridden
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,18 +38,8 @@ DENSE = 5000  # points of a line beyond which a vector picture would be larger t
 
 def mark(figure: Figure, estimate: LoadEstimate) -> None:
     """Print on the picture what it must not travel without: grade, verification, overridden refusals, cautions."""
-    words = [
-        f"grade {estimate.grade.letter}",
-        NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}",
-    ]
-    if estimate.allowed:
-        words.append(allowed(estimate, "OVERRIDDEN"))
-    found = list(dict.fromkeys(f.code.removeprefix("LID-") for f in estimate.cautions))
-    words.append("cautions: " + (", ".join(found[:14]) or "none"))
-    if len(found) > 14:
-        words[-1] += f" and {len(found) - 14} more"
     color, weight = (ORANGE, "bold") if overridden(estimate) else (INK, "normal")
-    lines = textwrap.wrap("  |  ".join(words), int(14 * figure.get_figwidth()))
+    lines = textwrap.wrap("  |  ".join(label(estimate)), int(14 * figure.get_figwidth()))
     figure.suptitle("\n".join(lines), fontsize=8, color=color, fontweight=weight, x=0.01, ha="left")
 
 

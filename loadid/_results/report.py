@@ -13,6 +13,7 @@ from structures.errors import plain
 from .. import _page
 from .._page import Html, Section
 from .functionals import in_words
+from .shown import label
 from .summary import (
     CAUTIONS,
     DISC95,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from .._page.chart import Chart
     from .estimate import LoadEstimate
 
+Rows = list[tuple[str, str, str]]  # label, value and remark of loads
 _SHOWN = 12  # loads that are compared with known ones
 _LISTED = 200  # loads of the table
 # what a setting that was not given stands for
@@ -68,10 +70,11 @@ def write_report(estimate: LoadEstimate, path: str | os.PathLike[str], *, truth:
 def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes | None = None) -> str:
     """The page as text; `png` is the picture of the load, where it has been drawn and the page needs it."""
     title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
+    rows = _told(estimate)
     sections = [
         Section("Result", _page.joined(_known(estimate, truth), _picture(estimate, truth, png), _notes(estimate))),
         Section("Cautions", cautions(estimate)),
-        Section("Every load", _every(estimate), folded=True),
+        Section("Every load", _every(estimate, rows), folded=True),
         Section("What every line can tell", _lines(estimate), folded=True),
         Section("Measured against predicted", _response(estimate), folded=True),
         Section("What the data cannot tell", _limits(estimate), folded=True),
@@ -81,15 +84,16 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
         Section("Verification", verification(estimate), folded=True),
         Section("Provenance", provenance_table(estimate), folded=True),
     ]
-    return _page.document(
-        title, sections, about=about(estimate), answer=_page.joined(_answer(estimate), checked(estimate))
-    )
+    answer = _page.joined(_answer(estimate, rows), checked(estimate))
+    note = "  |  ".join(label(estimate))
+    return _page.document(title, sections, about=about(estimate), note=note, answer=answer)
 
 
 def fragment(estimate: LoadEstimate) -> str:
     """Short form for notebooks: answer, picture and cautions in the style of the page, without a script."""
-    answer, picture = _page.joined(_answer(estimate), checked(estimate)), _picture(estimate, None, page=False)
-    folded = [("Every load", _every(estimate)), ("Flags", flag_list(estimate))]
+    rows = _told(estimate)
+    answer, picture = _page.joined(_answer(estimate, rows), checked(estimate)), _picture(estimate, None, page=False)
+    folded = [("Every load", _every(estimate, rows)), ("Flags", flag_list(estimate))]
     return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate), folded)
 
 
@@ -104,9 +108,9 @@ def refused(e: LoadEstimate) -> Html:
     return _page.joined(*(_page.part("notice", line, "", "alert") for line in refusals(e)))
 
 
-def _answer(e: LoadEstimate) -> Html:
+def _answer(e: LoadEstimate, rows: Rows) -> Html:
     """The largest load with its band and its grade; resultants, and a few others."""
-    first, *others = _told(e)
+    first, *others = rows
     cards = [(r.name, f"{plus_minus(r.value, None if r.std is None else Z95 * r.std)} {r.unit}", "resultant, 95 % band")
              for r in e.resultants]  # fmt: skip
     named = [] if cards else others[: OTHERS - 1]
@@ -121,7 +125,7 @@ def _answer(e: LoadEstimate) -> Html:
     )  # fmt: skip
 
 
-def _told(e: LoadEstimate) -> list[tuple[str, str, str]]:
+def _told(e: LoadEstimate) -> Rows:
     """Label, value with its 95 % band, and remark of every load, the largest first."""
     wide = DISC95 if e.load.dtype.kind == "c" else Z95
     rows = []
@@ -132,9 +136,8 @@ def _told(e: LoadEstimate) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _every(e: LoadEstimate) -> Html | str:
+def _every(e: LoadEstimate, rows: Rows) -> Html | str:
     """All loads as a table, where the answer does not name them all."""
-    rows = _told(e)
     if len(rows) <= OTHERS and not (e.resultants and len(rows) > 1):
         return ""
     more = len(rows) - _LISTED
@@ -174,8 +177,8 @@ def _known(e: LoadEstimate, truth: ArrayLike | None) -> Html | str:
     if known.shape != e.load.shape:
         return ""  # the picture refuses it in words
     return _page.paragraphs(*(
-        (f"{label}, " if len(e.labels) > 1 else "") + comparison(against(e, known[:, j], j))
-        for j, label in enumerate(e.labels[:_SHOWN])
+        (f"{name}, " if len(e.labels) > 1 else "") + comparison(against(e, known[:, j], j))
+        for j, name in enumerate(e.labels[:_SHOWN])
         if np.any(known[:, j])
     ))  # fmt: skip
 
@@ -212,8 +215,8 @@ def _lines(e: LoadEstimate) -> Html | str:
 
     s, trusted = e.spectrum, e.spectrum.trust()
     rows = [
-        (label, f"{trusted[:, j].mean():.1%}", in_words(s.bands(j), 8) or "none")
-        for j, label in enumerate(e.labels[:_SHOWN])
+        (name, f"{trusted[:, j].mean():.1%}", in_words(s.bands(j), 8) or "none")
+        for j, name in enumerate(e.labels[:_SHOWN])
     ]
     head = ("load", f"lines predicted to {s.level:.0%} or better", "bands that are not trusted")
     return _page.joined(_page.table(rows, head), drawn(of_lines(e)))

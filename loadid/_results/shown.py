@@ -12,10 +12,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, plain, reals
 
+from .summary import NOT_VERIFIED, allowed
+
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
 
 PANELS = 6  # loads or sensors that a picture has room for
+
+
+def label(estimate: LoadEstimate) -> list[str]:
+    """What a picture must not travel without: grade, verification, overridden refusals, cautions."""
+    words = [
+        f"grade {estimate.grade.letter}",
+        NOT_VERIFIED if estimate.certificate is None else f"forward model verified {estimate.certificate.date[:10]}",
+    ]
+    if estimate.allowed:
+        words.append(allowed(estimate, "OVERRIDDEN"))
+    found = list(dict.fromkeys(f.code.removeprefix("LID-") for f in estimate.cautions))
+    words.append("cautions: " + (", ".join(found[:14]) or "none"))
+    if len(found) > 14:
+        words[-1] += f" and {len(found) - 14} more"
+    return words
 
 
 def known_load(estimate: LoadEstimate, truth: ArrayLike | None) -> NDArray[Any] | None:

@@ -108,6 +108,14 @@ def test_the_table_holds_what_is_in_view_and_runs_nowhere(tmp_path):
 
 
 @node
+@pytest.mark.parametrize("size", [1e-40, 1e200])
+def test_numbers_of_any_size_travel(size, tmp_path):
+    y = size * np.array([1.0, -2.0, 3.0])
+    given = Chart(title="", x_name="", y_name="", x=np.arange(3.0), curves=[Curve("", y)], said="")
+    assert asked(tmp_path, f"Array.from(opened({numbers(given)}).curves[0].y)") == y.tolist()
+
+
+@node
 def test_a_record_too_long_to_travel_keeps_its_extremes(tmp_path):
     given = chart(samples=200_000)
     found = asked(

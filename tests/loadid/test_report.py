@@ -197,6 +197,14 @@ def test_a_long_record_stays_small_and_its_extremes_are_drawn():
     assert chart["every"] == 100
 
 
+def test_what_a_picture_must_not_travel_without_is_there_to_be_saved(whole):
+    (note,) = Page(whole).values("data-note")
+    assert (
+        note == f"grade {impact().grade.letter}  |  forward model not verified  |  allowed: LID-W407  |  cautions: W114"
+    )
+    assert "dataset.note" in _page.text(_page.CHARTS)
+
+
 def test_a_hit_is_shown_enlarged_above_its_whole_record(whole):
     chart = Page(whole).charts[0]
     first, last = chart["window"]

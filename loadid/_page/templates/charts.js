@@ -41,7 +41,7 @@ const opened = chart => {
     const x = curve.x;
     curve.x = typeof x === "string" ? unpacked(x, Float64Array)
       : Float64Array.from({ length: x[2] }, (_, i) => x[0] + i * x[1]);
-    for (const key of ["y", "low", "high"]) if (curve[key]) curve[key] = unpacked(curve[key], Float32Array);
+    for (const key of ["y", "low", "high"]) if (curve[key]) curve[key] = unpacked(curve[key], curve.wide ? Float64Array : Float32Array);
   }
   return chart;
 };
@@ -171,15 +171,16 @@ const live = figure => {
   const chart = JSON.parse(figure.dataset.chart), plot = figure.querySelector(".plot"), strip = figure.querySelector(".strip");
   const whole = chart.whole, first = chart.window ?? whole;
   let view = first, ends = null, ready = false, cursor = null, drag = null;
-  const ready_ = () => { if (!ready) { opened(chart); ends = height(chart, view); ready = true; } };
+  const prepare = () => { if (!ready) { opened(chart); ends = height(chart, view); ready = true; } };
   const group = name => plot.querySelector(`.${name}`);
 
   const draw = () => {
-    ready_();
+    prepare();
     ends = height(chart, view);
-    const columns = Math.max(200, Math.min(Math.round(plot.clientWidth), 2000)), curves = group("curves"), dots = group("dots");
+    const { width } = plot.getBoundingClientRect();
+    const columns = Math.max(200, Math.min(Math.round(width), 2000)), curves = group("curves"), dots = group("dots");
     const ticksX = chart.names.length ? chart.names.map((_, i) => i).filter(i => i % Math.ceil(chart.names.length / 8) === 0 && i >= view[0] && i <= view[1])
-      : ticks(...view, chart.xLog, Math.max(3, Math.min(7, Math.floor(plot.clientWidth / 80))));
+      : ticks(...view, chart.xLog, Math.max(3, Math.min(7, Math.floor(width / 80))));
     const ticksY = ticks(...ends, chart.yLog, 8);
     const atX = v => percent(share(v, view, chart.xLog)), atY = v => percent(1 - share(v, ends, chart.yLog));
     group("grid").replaceChildren(
@@ -251,7 +252,7 @@ const live = figure => {
 
   // -- hand and keys
   plot.addEventListener("pointermove", event => {
-    ready_();
+    prepare();
     const at = where(plot, event);
     cursor = place(at, view, chart.xLog);
     if (drag !== null && Math.abs(at - drag) > 0.005) {
@@ -277,7 +278,7 @@ const live = figure => {
     event.preventDefault(); zoom(event.deltaY < 0 ? 0.8 : 1.25, where(plot, event));
   }, { passive: false });
   plot.addEventListener("keydown", event => {
-    ready_();
+    prepare();
     const main = chart.curves[0].x, step = event.key === "ArrowLeft" ? -1 : 1;
     if (event.key.startsWith("Arrow") && (event.key === "ArrowLeft" || event.key === "ArrowRight")) {
       if (event.shiftKey) slide(0.2 * step);
@@ -320,16 +321,18 @@ const live = figure => {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   };
   const alone = () => {
-    ready_();
+    prepare();
     const look = getComputedStyle(plot), [top, right, bottom, left] = ["Top", "Right", "Bottom", "Left"].map(s => parseFloat(look[`padding${s}`]));
-    const W = plot.clientWidth, H = plot.clientHeight, head = 46;
-    const out = made("svg", { xmlns: SVG, width: W, height: H + head + 18, viewBox: `0 0 ${W} ${H + head + 18}`, "font-family": "sans-serif", "font-size": 12 });
+    const { width: W, height: H } = plot.getBoundingClientRect(), head = 46;
+    const out = made("svg", { xmlns: SVG, width: W, height: H + head + 34, viewBox: `0 0 ${W} ${H + head + 34}`, "font-family": "sans-serif", "font-size": 12 });
     const paper = getComputedStyle(figure.closest(".loadid")).backgroundColor;
     const ink = getComputedStyle(figure).color;
     out.append(made("rect", { width: "100%", height: "100%", fill: paper }));
     out.append(made("text", { x: 8, y: 16, "font-weight": "bold", fill: ink }, chart.title));
     out.append(made("text", { x: 8, y: 34, fill: ink }, `${chart.yName} — ${chart.curves.map(c => c.name).join(", ")}`));
     out.append(made("text", { x: W - right, y: H + head + 10, "text-anchor": "end", fill: ink }, chart.xName));
+    const note = figure.closest(".loadid").dataset.note;
+    if (note) out.append(made("text", { x: 8, y: H + head + 27, fill: ink, "font-size": 10 }, note));
     const inner = made("svg", { x: left, y: head + top, width: W - left - right, height: H - top - bottom, overflow: "visible" });
     const copy = (from, into) => {
       for (const child of from.children) {
@@ -346,7 +349,7 @@ const live = figure => {
     };
     copy(plot, inner);
     out.append(inner);
-    return [new XMLSerializer().serializeToString(out), W, H + head + 18];
+    return [new XMLSerializer().serializeToString(out), W, H + head + 34];
   };
   const picture = () => {
     const [text, W, H] = alone(), image = new Image(), link = URL.createObjectURL(new Blob([text], { type: "image/svg+xml" }));
@@ -371,14 +374,16 @@ const live = figure => {
   button("SVG", "save this view as a drawing", () => save(new Blob([alone()[0]], { type: "image/svg+xml" }), "svg"));
   button("PNG", "save this view as a picture", picture);
   button("CSV", chart.every > 1 ? `save the numbers in view, the extremes of every ${chart.every} samples` : "save the numbers in view",
-    () => { ready_(); save(new Blob([table(chart, view)], { type: "text/csv" }), "csv"); });
+    () => { prepare(); save(new Blob([table(chart, view)], { type: "text/csv" }), "csv"); });
   tools.append(said);
   figure.append(tools);
   plot.classList.add("live");
 };
 
 if (typeof document !== "undefined") {
-  for (const figure of document.querySelectorAll("figure.chart")) live(figure);
+  for (const figure of document.querySelectorAll("figure.chart")) {
+    try { live(figure); } catch (error) { console.error(error); }  // it stays the picture that it is
+  }
   let shut = [];
   addEventListener("beforeprint", () => {
     shut = [...document.querySelectorAll("details:not([open])")];
