@@ -37,6 +37,7 @@ _PUBLIC = {
     "SparseDeconvolution": "loadid._families.sparse",
     "StaticInversion": "loadid._families.static",
     "calibrate": "loadid._commands.calibrate",
+    "compare": "loadid._commands.compare",
     "compare_domains": "loadid._families.domains",
     "identify": "loadid._commands.identify",
     "load": "loadid._results.estimate",
