@@ -38,6 +38,7 @@ _PUBLIC = {
     "StaticInversion": "loadid._families.static",
     "align": "loadid._align",
     "calibrate": "loadid._commands.calibrate",
+    "compare": "loadid._commands.compare",
     "compare_domains": "loadid._families.domains",
     "identify": "loadid._commands.identify",
     "load": "loadid._results.estimate",

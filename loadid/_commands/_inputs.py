@@ -18,6 +18,8 @@ from ..constraints import Bounds, NonNegative, Resultant, Support
 from . import resolved
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from structures._model import Model
 
     from .._record import Record
@@ -115,6 +117,85 @@ def noise(given: Any, labels: Sequence[str], used: Sequence[str]) -> Any:
 
 
 # -- data --------------------------------------------------------------------------------------------------------------
+def responses_of(
+    record: Record, model: Model, chosen: Sequence[str] | None, wanted: Sequence[str] | None = None
+) -> Record:
+    """The channels of a record that the model predicts, in the order and under the names of its sensors.
+
+    Parameters
+    ----------
+    chosen : sequence of str, optional
+        Channels, one for every sensor.
+    wanted : sequence of str, optional
+        Sensors that are used, where only some are.
+
+    Raises
+    ------
+    InputError
+        Too few or too many channels, one that is not there or given twice, or of another unit than its sensor.
+    """
+    from dataclasses import replace
+
+    labels = [s.label for s in model.sensors]
+    if chosen is None:
+        return record.select(labels if wanted is None else [one for one in labels if one in wanted])
+    if len(chosen) != len(labels):
+        raise InputError(
+            "one channel per sensor is needed",
+            where="--response",
+            found=f"{len(chosen)} channels: {', '.join(map(str, chosen))}",
+            expected=f"{len(labels)}, for the sensors {', '.join(labels)}",
+            hint="name one for every sensor of the model, in its order; for fewer sensors calibrate a model of them",
+        )
+    some = record.select(resolved(record, chosen, where="--response"))
+    for channel, sensor in zip(some.channels, model.sensors, strict=True):
+        if "arbitrary" not in (channel.unit, sensor.unit) and channel.unit != sensor.unit:
+            raise InputError(
+                f"channel {channel.label!r} is in another unit than the sensor {sensor.label!r} of the model",
+                where="--response",
+                found=f"{channel.unit} ({channel.quantity})",
+                expected=f"{sensor.unit} ({sensor.quantity})",
+                hint="name the channels in the order of the model's sensors",
+            )
+    return replace(some, channels=tuple(replace(c, label=s) for c, s in zip(some.channels, labels, strict=True)))
+
+
+def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
+    """The measured load, shape (samples,), that an estimate of this model can be compared with.
+
+    Raises
+    ------
+    InputError
+        A channel that is not there, in another unit than the load, or with gaps; a model of several loads.
+    """
+    import numpy as np
+
+    column = record.index(channel)
+    known, loads = record.channels[column], model.loads
+    if len(loads) != 1:
+        raise InputError("one load is compared with one channel", where="--truth",
+                         found=f"{len(loads)} loads: {', '.join(c.label for c in loads)}",
+                         expected="a model of one load", hint="leave --truth out")  # fmt: skip
+    if "arbitrary" not in (known.unit, loads[0].unit) and known.unit != loads[0].unit:
+        raise InputError(
+            f"channel {known.label!r} is in another unit than the load",
+            where="--truth",
+            found=f"{known.unit} ({known.quantity})",
+            expected=f"{loads[0].unit} ({loads[0].quantity})",
+            hint=f"name the channel of the load, or state its unit (--unit {known.label}={loads[0].unit})",
+        )
+    values = record.values[:, column]
+    if not np.all(np.isfinite(values)) or not np.any(values):
+        raise InputError(
+            f"channel {known.label!r} is nothing to compare with",
+            where="--truth",
+            found=f"{int(np.sum(~np.isfinite(values)))} missing samples" if np.any(values) else "zero throughout",
+            expected="a measured load without gaps",
+            hint="leave --truth out, or name another channel",
+        )
+    return values
+
+
 def sensor_table(path: str | Path, labels: Sequence[str]) -> dict[str, float] | None:
     """Readings of a text file with one row for each sensor, its name and its number; None where it is no such file.
 

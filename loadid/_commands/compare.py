@@ -208,6 +208,7 @@ def compare(
     known = load_model(model) if isinstance(model, str | Path) else model
     record = read(log, **reading) if isinstance(log, str | Path) else log
     kind = kind_of(known, record)
+    kind = "static" if families and set(families) <= set(STATICS) else kind
     every = STATICS if kind == "static" else HISTORIES
     if kind == "lines":
         every = {"frequency lines": HISTORIES["frequency lines"]}

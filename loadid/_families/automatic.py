@@ -116,12 +116,12 @@ class AutomaticInversion:
         self.common: dict[str, Any] = {"noise": noise, "sensors": sensors, "allow": allow}
         self._progress = Progress(progress)
 
-    def estimate(self, found: Any, dt: float | None = None) -> LoadEstimate:
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Rebuild the loads behind a record, static readings, spectra or cross spectra.
 
         Parameters
         ----------
-        found : Record, Spectra, CrossSpectra, array or mapping
+        record : Record, Spectra, CrossSpectra, array or mapping
             As the family takes it that `kind_of` names.
         dt : float, optional
             Step in s of a bare array; without it an array is static readings.
@@ -135,8 +135,8 @@ class AutomaticInversion:
         InputError, NotIdentifiable
             From the family.
         """
-        kind = kind_of(self.model, found, dt)
-        chosen = {"static": self._static, "lines": self._by_lines, "history": self._history}[kind](found, dt)
+        kind = kind_of(self.model, record, dt)
+        chosen = {"static": self._static, "lines": self._by_lines, "history": self._history}[kind](record, dt)
         self._progress(1.0, "done")
         facts = Facts.of({**chosen.estimate.facts, "chosen": f"{chosen.family}: {chosen.because}"})
         return replace(chosen.estimate, facts=facts)

@@ -211,7 +211,8 @@ class Deconvolution:
         mask = self.settings.acting(len(found.load), dt)
         if mask is None or found.posterior is None:
             return found
-        return Solution(found.load, ActingPosterior(found.posterior, np.repeat(mask[:, None], found.load.shape[1], 1)))
+        acting = np.repeat(mask[:, None], found.load.shape[1], 1)
+        return Solution(np.where(acting, found.load, 0.0), ActingPosterior(found.posterior, acting))
 
     def _over_states(self, posed: Posed, data: Data) -> Posed | None:
         return posed if posed.record is not None else on_states(self.model, data, self.settings)

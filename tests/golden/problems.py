@@ -18,6 +18,7 @@ import numpy as np
 import structures
 from loadid import (
     Absolute,
+    AutomaticInversion,
     Deconvolution,
     FieldDeconvolution,
     FrequencyInversion,
@@ -251,6 +252,28 @@ def from_hits(**settings: Any) -> Answer:
     return answer(Deconvolution(model, **folded(Deconvolution, settings)).estimate(y, DT))
 
 
+PULSE = (0.035, 0.085)
+for path in ("dense", "statespace"):
+    deconvolution(f"{path}/window/given", path=path, choice=LAM, support=PULSE)
+    deconvolution(f"{path}/window/default", path=path, support=PULSE)
+deconvolution("dense/window, first_difference/given", path="dense", penalty="first_difference", choice=LAM,
+              support=[(0.0, 0.02), PULSE])  # fmt: skip
+deconvolution("statespace/window, non-negative/given", choice=LAM, support=PULSE, constraints=[NonNegative()])
+deconvolution("statespace/smooth", Loose(1e-6, "variances climb by updates until the evidence gains little"),
+              variance="smooth")  # fmt: skip
+
+
+def automatic(**settings: Any) -> Answer:
+    """What model and data ask for."""
+    y, std = pushed()
+    e = AutomaticInversion(chain(), noise=Noise(std, **SOURCE), **settings).estimate(y, DT)
+    found = answer(e)
+    return Answer(found.arrays, found.words | {"chosen": [e.facts.chosen.split(":")[0]]})
+
+
+add("automatic/history", automatic, Loose(1e-6, "variances climb by updates until the evidence gains little"))
+add("automatic/window", lambda: automatic(support=PULSE))
+add("automatic/static", lambda: answer(AutomaticInversion(chain(), sensors=["d5"], noise=1e-6).estimate({"d5": 1e-3})))
 add("deconvolution/dense/least squares", unpenalised)
 add("deconvolution/offset", offset)
 add("deconvolution/moving load", crossing)
@@ -276,6 +299,7 @@ def sparse(*, at: tuple[str, ...] = ("3+X",), stated: bool = True, **settings: A
 
 atoms = np.stack([np.roll(np.concatenate([np.hanning(14), np.zeros(N - 14)]), 4 * k) for k in range(36)], axis=1)
 add("sparse/spikes/given", lambda: sparse(choice=0.1))
+add("sparse/spikes/window", lambda: sparse(choice=0.1, support=(0.025, 0.1)))
 add("sparse/spikes/default", sparse)
 add("sparse/spikes/default, noise not stated", lambda: sparse(stated=False))
 add("sparse/spikes/ebic", lambda: sparse(choice="ebic"))
@@ -484,6 +508,14 @@ def transient(**settings: Any) -> Answer:
     )
 
 
+def banded() -> Answer:
+    """The same behind a table of a band of FRFs."""
+    y, std = pushed(samples=400)
+    f = np.arange(10, 90) / (400 * DT)
+    table = FrfModel.of(chain(), f)
+    return answer(FrequencyInversion(table, signal="transient", noise=Noise(std, **SOURCE)).estimate(y, DT))
+
+
 def domains() -> Answer:
     """The same in both domains."""
     y, std = pushed(samples=400)
@@ -496,6 +528,7 @@ def domains() -> Answer:
 
 
 add("frequency/default", on_lines)
+add("frequency/transient, table of a band", banded)
 add("frequency/default, noise not stated", lambda: on_lines(stated=False))
 add("frequency/errors of the FRF", lambda: on_lines(error=0.03))
 add("frequency/validation sensor", lambda: on_lines(validation=["s2"]))

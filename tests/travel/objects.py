@@ -17,6 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from loadid import (
+    AutomaticInversion,
     Deconvolution,
     FieldDeconvolution,
     FrequencyInversion,
@@ -532,6 +533,10 @@ for path in ("dense", "statespace", "toeplitz", "windows", "fft"):
     bare = path in ("toeplitz", "windows")
     given = {"model": p.table.__wrapped__()} if bare else {}
     add(f"family/Deconvolution, {path}", *deconvolution(choice=Lambda(p.LAM if bare else "gcv", path=path), **given))
+add(
+    "family/AutomaticInversion", partial(histories, AutomaticInversion), partial(estimated, record=p.pushed()[0], dt=DT)
+)
+add("family/Deconvolution, window", *deconvolution(choice=p.LAM, support=p.PULSE))
 add("family/Deconvolution, pushes", *deconvolution(choice=p.LAM, constraints=[NonNegative()]))
 add("family/Deconvolution, truncated", *deconvolution(choice=Lambda("gcv", method="tsvd", path="dense")))
 add("family/Deconvolution, moving", lambda: Deconvolution(crossing(), noise=1e-6), crossed)

@@ -1,0 +1,318 @@
+"""``loadid identify`` for every family: one table of settings, job files, constraints and noise by name, `compare`."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loadid import InputError, LoadEstimate, cli, compare, identify, load, read
+from loadid._commands import _inputs, _settings
+from loadid._commands._job import READING, WORDS, beside, resolved, written
+from loadid._commands._job import read as read_job
+from loadid._spellings import ARGUMENTS
+from structures import ForwardModel, bases, beams, damping, loads, sensors
+
+RATE = 2000
+BEAM = beams.simply_supported(
+    length=2.0, section=beams.Section.rectangle(0.05, 0.01), material=beams.materials.steel, elements=20,
+    damping=damping.Modal(0.02),
+)  # fmt: skip
+PLACES = (0.3, 0.9, 1.5, 1.7)
+
+
+def hit_model() -> ForwardModel:
+    seen = [sensors.Displacement(at=x, direction="+Z", label=f"s{i}") for i, x in enumerate(PLACES)]
+    return ForwardModel(BEAM, seen, [loads.Point(at=0.7, direction="+Z", label="F")], modes=5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model and a log of a hit of 6 ms, a static model and its readings, in two kinds of file."""
+    place = tmp_path_factory.mktemp("job")
+    model = hit_model()
+    model.save(place / "model.h5")
+    t = np.arange(240) / RATE
+    force = np.where((t > 0.02) & (t < 0.026), 100 * np.sin(np.pi * (t - 0.02) / 0.006), 0.0)
+    y = model.predict(force[:, None], 1 / RATE)
+    y += 0.01 * y.std(axis=0) * np.random.default_rng(0).standard_normal(y.shape)
+    head = "time [s],F [N]," + ",".join(f"s{i} [m]" for i in range(4))
+    np.savetxt(place / "log.csv", np.column_stack([t, force, y]), delimiter=",", header=head, comments="")
+    patches = ForwardModel(BEAM, model.sensors, bases.patches(BEAM, 6), modes=5)
+    patches.save(place / "patches.h5")
+    read = patches.static() @ np.full(6, 50.0)
+    rows = [f"s{i};{str(v).replace('.', ',')}" for i, v in enumerate(read.tolist())]
+    (place / "readings.csv").write_text("sensor;reading\n" + "\n".join(rows) + "\n")
+    table = np.column_stack([np.arange(6) / 10, np.outer([0, 1, 1, 1, 2, 2], read)])
+    np.savetxt(place / "frames.csv", table, delimiter=",", header="time [s]," + head.split(",", 2)[2], comments="")
+    return place
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from importlib.metadata import EntryPoint
+
+    points = [EntryPoint(n, f"loadid._commands.{n}:command", cli.GROUP) for n in ("identify", "compare")]
+    monkeypatch.setattr(cli, "entry_points", lambda group: points)
+    monkeypatch.chdir(folder)
+
+    def call(*words: Any) -> tuple[int, str, str]:
+        code = cli.main([str(w) for w in words])
+        out = capsys.readouterr()
+        return code, out.out, out.err
+
+    return call
+
+
+def asked(run: Any, out: Path, *words: Any, log: str = "log.csv", model: str = "model.h5") -> str:
+    """What a run says that must succeed."""
+    code, said, err = run("identify", log, "--model", model, "-o", out, *words)
+    assert code == 0, err
+    return said
+
+
+# -- the table ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("family", _settings.FAMILIES)
+def test_every_setting_of_python_is_written_or_said_why_not(family: str) -> None:
+    kind = _settings.load_family(family)
+    own = ARGUMENTS[kind.__name__]
+    every = set(own.defaults)
+    for argument, (setting, known) in own.kinds.items():
+        names = {"source": "noise_source"}
+        every |= {names.get(f.name, f.name) for f in fields(setting)[1:] if f.name in known} | {argument}
+    written_as = {"sparsity", "search", "online"}  # classes whose fields are written one by one, the first of them too
+    every |= {fields(own.kinds[name][0])[0].name for name in written_as & set(own.kinds)}
+    missing = {name for name in every - written_as if name not in _settings.OPTIONS and name not in _settings.UNWRITTEN}
+    assert missing == set()
+
+
+def test_every_option_belongs_to_a_family_and_every_family_has_its_own() -> None:
+    taken = {family: set(_settings.known(family)) for family in _settings.FAMILIES}
+    assert set(_settings.OPTIONS) - set().union(*taken.values()) == set()
+    assert {n for names in taken.values() for n in names} - {
+        *_settings.OPTIONS,
+        "sparsity",
+        "search",
+        "online",
+    } == set()
+    assert not set(_settings.OPTIONS) & set(WORDS)
+
+
+# -- families ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "chosen: Deconvolution"),
+        (["--family", "deconvolution", "--support", "0.02:0.026", "--validation", "s3"], "kept out: s3"),
+        (["--family", "sparse", "--dictionary", "bspline", "--knots", "2", "--support", "0.018:0.03"], "peak F"),
+        (["--family", "tracker", "--prior", "matern32", "--gate", "none"], "peak F"),
+        (["--family", "harmonic", "--frequency", "30"], "peak F"),
+        (["--family", "frequency", "--signal", "transient", "--validation", "s1"], "kept out: s1"),
+        (["--family", "field", "--time", "first_difference", "--choice", "0.01"], "peak F"),
+        (["--family", "location", "--grid", "7", "--choice", "0.001"], "nearest candidate"),
+        (["--choice", "gcv"], "peak F"),
+    ],
+)
+def test_families(run: Any, tmp_path: Path, words: list[str], said: str) -> None:
+    out = tmp_path / "r.h5"
+    assert said in asked(run, out, *words)
+    assert out.exists()
+    assert "family" in tomllib.loads(beside(out).read_text())
+
+
+def test_the_place_of_a_hit(run: Any, tmp_path: Path) -> None:
+    out = asked(run, tmp_path / "r.h5", "--family", "location", "--grid", "7", "--json")
+    found = json.loads(out)
+    assert found["found"][0][0] == pytest.approx(0.7, abs=0.02)
+    assert found["estimate"]["labels"]
+
+
+def test_static_readings_of_either_file(run: Any, tmp_path: Path) -> None:
+    by_sensor = asked(run, tmp_path / "a.h5", log="readings.csv", model="patches.h5")
+    assert "chosen: StaticInversion" in by_sensor
+    asked(run, tmp_path / "b.h5", "--family", "static", "--mean", "0.1:0.3", log="frames.csv", model="patches.h5")
+    asked(run, tmp_path / "c.h5", "--family", "static", "--at", "0.2", log="frames.csv", model="patches.h5")
+    a, b, c = (LoadEstimate.read(tmp_path / f"{n}.h5").load for n in "abc")
+    np.testing.assert_allclose(b, a, rtol=1e-9)
+    np.testing.assert_allclose(c, a, rtol=1e-9)
+
+
+def test_constraints_by_name(run: Any, tmp_path: Path, folder: Path) -> None:
+    words = ["--family", "static", "--bounds", "0:60", "--resultant", "sum=300:0.1", "--nonnegative"]
+    asked(run, tmp_path / "r.h5", *words, log="readings.csv", model="patches.h5")
+    found = LoadEstimate.read(tmp_path / "r.h5").load
+    assert found.sum() == pytest.approx(300, abs=1)
+    assert found.min() >= 0
+    assert found.max() <= 60 + 1e-6
+    model = hit_model()
+    readings = {"s0": 1e-4, "s1": 2e-4, "s2": 1e-4, "s3": 1e-5}
+    bound = identify(readings, model, family="static", bounds={"F": [0.0, 0.5]})
+    assert bound.load[0] == pytest.approx(0.5, rel=1e-6)
+    with pytest.raises(InputError, match=r"no such name.*expected: F"):
+        identify(readings, model, family="static", bounds={"f": [0.0, 0.5]})
+
+
+def test_noise_by_name_is_noise_in_order(folder: Path) -> None:
+    model = hit_model()
+    named = {"s3": 4e-6, "s0": 1e-6, "s1": 2e-6, "s2": 3e-6}
+    a = identify(folder / "log.csv", model, family="deconvolution", noise=named, choice=0.01)
+    b = identify(folder / "log.csv", model, family="deconvolution", noise=[1e-6, 2e-6, 3e-6, 4e-6], choice=0.01)
+    np.testing.assert_array_equal(a.load, b.load)
+    some = identify(folder / "log.csv", model, family="deconvolution", noise=named, choice=0.01, validation=["s1"])
+    rest = identify(folder / "log.csv", model, family="deconvolution", noise=[1e-6, 3e-6, 4e-6], choice=0.01,
+                    sensors=["s0", "s2", "s3"])  # fmt: skip
+    np.testing.assert_array_equal(some.load, rest.load)
+    measured = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1)[:, 3]
+    predicted = model.predict(np.asarray(some.load), 1 / RATE)[:, 1]
+    error = np.linalg.norm(measured - predicted) / np.linalg.norm(measured)
+    assert some.facts.held_out == (f"s1 {error:.2%}",)
+    with pytest.raises(InputError, match="not stated"):
+        identify(folder / "log.csv", model, noise={"s0": 1e-6})
+
+
+def test_amplitudes_are_those_of_a_sine() -> None:
+    from loadid import Record
+
+    t = np.arange(500) / RATE
+    rng = np.random.default_rng(0)
+    noise = 0.1 * rng.standard_normal((500, 400))
+    clean = 2.0 * np.cos(2 * np.pi * 31.0 * t + 0.4)[:, None] + 5.0
+    found, std = _inputs.amplitudes(Record(clean + noise, 1 / RATE), 31.0)
+    errors = np.abs(np.array(list(found.values())) - 2.0 * np.exp(0.4j))
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.mean(std), rel=0.1)
+
+
+# -- jobs --------------------------------------------------------------------------------------------------------------
+JOB = """
+log = "{folder}/log.csv"
+model = "{folder}/model.h5"
+output = "first.h5"
+family = "deconvolution"
+support = [[0.0195, 0.0265]]
+noise = {{s0 = 3e-6, s1 = 4e-6, s2 = 3e-6, s3 = 1e-6}}
+penalty = "first_difference"
+choice = 0.012345678901234567
+"""
+
+
+def test_a_resolved_job_gives_the_same_bits(run: Any, tmp_path: Path, folder: Path) -> None:
+    job = tmp_path / "job.toml"
+    job.write_text(JOB.format(folder=folder))
+    code, said, err = run("identify", job, "--choice", "0.02")  # the option overrides the job
+    assert code == 0, err
+    kept = tmp_path / "first.job.toml"
+    assert str(kept) in said
+    tree = tomllib.loads(kept.read_text())
+    assert tree["choice"] == 0.02
+    assert tree["noise"]["s1"] == 4e-6
+    first = load(tmp_path / "first.h5")
+    assert first.choice.lam == 0.02
+    before = kept.read_bytes()
+    assert run("identify", "--job", kept)[0] == 0
+    again = load(tmp_path / "first.h5")
+    np.testing.assert_array_equal(first.load, again.load)
+    np.testing.assert_array_equal(first.std, again.std)
+    assert kept.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("pnalty = 'identity'", "did you mean 'penalty'"),
+        ("penalty = 'smooth'", "no penalty"),
+        ("family = 'statik'", "static"),
+        ("support = 'soon'", "no window"),
+        ("nonnegative = 3", "true or false"),
+        ("method = 'lu'", "tikhonov"),
+        ("level = -1.0", "> 0"),
+        ("responses = 'a'", "a list of texts"),
+        ("reading = {fss = 3}", "did you mean 'fs'"),
+        ("frequency = nan", "no such value"),
+        ("knots = [", "no TOML"),
+        ("dictionary = 'dirac'", "sparse take"),  # of another family
+    ],
+)
+def test_a_job_that_says_nothing(run: Any, tmp_path: Path, folder: Path, line: str, said: str) -> None:
+    job = tmp_path / "job.toml"
+    base = [x for x in JOB.format(folder=folder).splitlines() if x.split(" =")[0] != line.split(" =")[0]]
+    job.write_text("\n".join([line, *base]) if "{" in line else "\n".join([*base, line]))
+    code, out, err = run("identify", job)
+    assert code == 3
+    assert said in err
+    assert not out
+    assert not (tmp_path / "first.h5").exists()
+
+
+def test_what_a_job_is_written_as_is_read_again(tmp_path: Path) -> None:
+    values = {
+        "a": 'quo"te\\\n\x01 é',
+        "b": [1, 2.5, float("inf"), True],
+        "c": {"x y": [0.1, [1e-300]]},
+        "d": np.arange(3),
+    }
+    text = "\n".join(f"{name} = {written(value)}" for name, value in values.items())
+    assert tomllib.loads(text) == {**values, "d": [0, 1, 2]}
+    job = {"log": tmp_path / "in" / "log.csv", "model": tmp_path / "m.h5", "output": tmp_path / "out" / "r.h5"}
+    (tmp_path / "out").mkdir()
+    place = tmp_path / "out" / "r.job.toml"
+    place.write_text(resolved(job, place.parent))
+    back = read_job(place)
+    assert {n: Path(back[n]).resolve() for n in job} == {n: p.resolve() for n, p in job.items()}
+    assert set(READING) <= {"fs", "columns", "axis", "units"}
+
+
+def test_what_is_missing_is_a_matter_of_usage(run: Any) -> None:
+    code, _, err = run("identify", "log.csv", "--model", "model.h5")
+    assert code == 2
+    assert "-o" in err
+
+
+# -- compare -----------------------------------------------------------------------------------------------------------
+def test_families_and_rules_in_one_table(run: Any, tmp_path: Path, folder: Path) -> None:
+    few = "deconvolution,first difference,tracker"
+    page, picture = tmp_path / "page.html", tmp_path / "loads.png"
+    code, out, err = run("compare", "log.csv", "--model", "model.h5", "-o", page, "--plot", picture, "--families", few,
+                         "--json")  # fmt: skip
+    assert code == 0, err
+    told = json.loads(out)
+    assert [row["name"] for row in told["families"]] == few.split(",")
+    assert told["kept_out"] == ["s3"]
+    own = identify(folder / "log.csv", folder / "model.h5", family="deconvolution")
+    first = told["families"][0]
+    k = int(np.argmax(np.abs(own.load[:, 0])))
+    assert first["peak"] == own.load[k, 0]
+    assert first["std"] == own.std[k, 0]
+    assert first["impulse"] == pytest.approx(float(own.load.sum()) / RATE, rel=1e-12)
+    assert 0 < first["held_out"] < 0.2
+    assert min(row["criterion"] for row in told["families"] if row["criterion"] is not None) >= 0
+    rules = {row["rule"]: row for row in told["rules"]}
+    by_gcv = identify(folder / "log.csv", folder / "model.h5", choice="gcv").load
+    assert rules["gcv"]["peak"] == pytest.approx(float(by_gcv[np.argmax(np.abs(by_gcv))].item()), rel=1e-3)
+    assert rules["ebic"]["lam"] is None
+    assert rules["ebic"]["note"]
+    text = page.read_text()
+    assert "<svg" in text
+    assert "<script" not in text
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_what_a_family_refuses_is_a_row(folder: Path) -> None:
+    found = compare(folder / "frames.csv", folder / "patches.h5", families=["identity", "laplacian"])
+    assert [row.name for row in found.families] == ["identity", "laplacian"]
+    assert "lambda" in str(found)
+    own = read(folder / "log.csv").select([f"s{i}" for i in range(4)])
+    lost = own.values.copy()
+    lost[50:60, 1] = np.nan
+    gappy = replace(own, values=lost)
+    told = compare(gappy, hit_model(), families=["deconvolution", "frequency lines"], validation=[])
+    assert [bool(row.refused) for row in told.families] == [False, True]
+    assert told.families[1].peak is None
+    assert f"refused: frequency lines: {told.families[1].refused}" in str(told)
+    assert all(row.held_out is None for row in told.families)
+    with pytest.raises(InputError, match="no such family for these data"):
+        compare(folder / "log.csv", hit_model(), families=["gradients"])
