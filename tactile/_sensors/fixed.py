@@ -220,10 +220,10 @@ class QuickMap:
         if strays or wide > WIDER:  # without the strays, and by the noise that there is
             steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan), wide)
         answer, about = inverse(steady), None
-        if self.contacts is not None and not quick:
+        if self.contacts is not None and wrench is None and not quick:  # a wrench says more
             about = self._about(np.where(np.isfinite(steady), y, np.nan), wide)
         if about is not None and not self.normal:
-            return self._by_contacts(steady, y, wrench, about, (strays, misfit), shift)
+            return self._by_contacts(steady, y, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
         variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
@@ -234,14 +234,15 @@ class QuickMap:
             moved = wide * self.image.open(shift)
             felt = inverse.resultant @ moved
             variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
-        if wrench is not None or about is not None:
-            force = inverse.resultant @ (load if about is None else about.load)
-            covariance = covariance if about is None else about.wrench
-            force, covariance = (force, covariance) if wrench is None else met(force, covariance, wrench)
+        asked = wrench if about is None else Wrench(inverse.resultant[:3] @ about.load)
+        if asked is not None:
+            if about is None:
+                force, covariance = met(inverse.resultant @ load, covariance, asked)
+            else:
+                force, covariance = inverse.resultant @ about.load, about.wrench
             if found is None:
                 load = band.corrected(load, force)
             else:
-                asked = Wrench(force[:3]) if wrench is None else wrench
                 found = self.pressed(steady, held(force, asked, self.contact.friction), answer)
                 load = found.load
                 apart = inverse.resultant @ load - force
@@ -265,26 +266,17 @@ class QuickMap:
         return EvenEvidence.of(self.inverse, self.contacts.moved)
 
     def _by_contacts(
-        self, steady: Array, y: Array, wrench: Wrench | None, about: LocalLoad, checked: tuple[int, float],
-        shift: ImageShift | None,
-    ) -> FrameAnswer:  # fmt: skip
+        self, steady: Array, y: Array, about: LocalLoad, checked: tuple[int, float], shift: ImageShift | None
+    ) -> FrameAnswer:
         """What loads about the contacts say, where the readings do not tell of normal motion."""
         assert self.contacts is not None
-        R, mu, wide = self.inverse.resultant, self.contact.friction, max(1.0, checked[1])
-        force, covariance = R @ about.load, about.wrench
-        force, covariance = (force, covariance) if wrench is None else met(force, covariance, wrench)
-        load, found = about.load, None
+        found = None
         if self.contact.constrains:
-            asked = None if wrench is None else held(force, wrench, mu)
             z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
-            found = self.contacts.pressed(z, about, wide, mu, asked)
-            load = found.load
-            apart = 0.0 if wrench is None else R @ load - force
-            covariance = covariance + np.outer(apart, apart)
-        elif wrench is not None and self.inverse.band is not None:
-            load = self.inverse.band.corrected(load, force)
-        flags = [guards.unseen(self.recovery) if wrench is None else None]
-        return self._answered(steady, load, about.std, covariance, checked, found, flags, shift, about)
+            found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction)
+        load = about.load if found is None else found.load
+        flags = [guards.unseen(self.recovery)]
+        return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
 
     def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""

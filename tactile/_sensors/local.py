@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -26,11 +26,8 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from .._arrays import Array, Index, Mask
+from .gaussian import GaussianProblem, around
 from .inversion import FLIP, Answer, Inverse, Pressed, RegionSolver
-from .observation import Wrench
-
-if TYPE_CHECKING:
-    from .gaussian import GaussianProblem
 
 OWN = 0.1  # of the pressure: std of shear that does not go with it
 MODES = 16  # of the pressure in a disc
@@ -39,10 +36,12 @@ EVEN = 1.0  # variance of an even pressure in a disc, over that of the prior
 STEP = 1 / 6  # thicknesses between the middles of discs
 SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
 COARSE = 3  # steps between discs of the first look
-LOOKED = 6  # modes of these
+LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
 SIZES = np.geomspace(1e2, 1e8, 19)  # Pa, tried in the first look
 STEEPEST = 3.0  # ratio
-GRAIN = 0.2  # of the pressure: std of what a mesh cannot tell of one node
+GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
+SIDEWAYS = 0.1  # of the pressure: shear that any node may have
+WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 MOST = 3  # contacts
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
@@ -146,7 +145,7 @@ class ContactFit:
         modes = vectors[:, kept] * np.sqrt(values[kept])
         parts = [self.problem.whitened, *self.mesh]
         columns = [part[:, 3 * nodes + a] @ modes for part in parts for a in range(3)]
-        finer = np.maximum(np.diag(C) - np.sum(modes**2, axis=1), 0.0) + GRAIN**2 * np.diag(C)
+        finer = np.maximum(np.diag(C) - np.sum(modes**2, axis=1), 0.0)
         return Window(nodes, modes, np.hstack(columns), finer)
 
     def _covariance(self, disc: Disc, nodes: Index) -> Array:
@@ -277,16 +276,20 @@ class ContactFit:
             values.append(s**2)
         return discs, np.hstack(turned), np.array(values)
 
-    def look(self, z: Array, known: Fitted) -> tuple[Disc, float]:
-        """The disc that explains most of readings (m,) beside known contacts, and log of its size."""
+    def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
+        """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
         discs, columns, values = self._looks
-        count = values.shape[1]
-        z = self._left(z, known)
-        on = (columns.T @ z).reshape(len(discs), count)
+        on = (columns.T @ self._left(z, known)).reshape(len(discs), values.shape[1])
         v = SIZES[:, None, None] ** 2 * values
         gain = 0.5 * np.sum(on**2 * v / (1 + v) - np.log1p(v), axis=2)
-        size, which = np.unravel_index(np.argmax(gain), gain.shape)
-        return discs[int(which)], float(np.log(SIZES[size]))
+        best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
+        out: list[tuple[Disc, float]] = []
+        for k in np.argsort(-best):
+            if best[k] < best.max() - WORTH or len(out) == LOOKS:
+                break
+            if all(np.hypot(discs[k].x - d.x, discs[k].y - d.y) > 2 * COARSE for d, _ in out):
+                out.append((discs[k], float(size[k])))
+        return out
 
     def _left(self, z: Array, known: Fitted) -> Array:
         """What known contacts and the image do not explain of readings."""
@@ -328,9 +331,9 @@ class ContactFit:
         best: list[Fitted] = []
         while len(known.discs) < MOST:
             seen: dict[tuple[Disc, ...], Fitted] = {}
-            starts = [self._one_more(z, known), *self._split(z, known)]
+            starts = [*self._one_more(z, known), *self._split(z, known)]
             starts.sort(key=lambda f: -f.evidence)
-            starts = starts[: SETTLED if len(known.discs) == 1 else 1]
+            starts = starts[: SETTLED if len(known.discs) < 2 else 1]
             found = max((self.settled(z, f, seen) for f in starts), key=lambda f: f.evidence)
             best += seen.values()
             if found.evidence < known.evidence + WORTH:
@@ -341,10 +344,10 @@ class ContactFit:
         level = _score(known) + np.log(WEIGHT)
         return [f for f in best if _score(f) > level]
 
-    def _one_more(self, z: Array, known: Fitted) -> Fitted:
-        """Known contacts and the one that explains most of what they leave."""
-        disc, size = self.look(z, known)
-        return self.fitted(z, (*known.discs, disc), np.vstack([known.at, [size, 0.0, 0.0]]))
+    def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
+        """Known contacts and one that explains most of what they leave."""
+        return [self.fitted(z, (*known.discs, disc), np.vstack([known.at, [size, 0.0, 0.0]]))
+                for disc, size in self.look(z, known)[: 1 if known.discs else LOOKS]]  # fmt: skip
 
     def _split(self, z: Array, known: Fitted) -> list[Fitted]:
         """Known contacts with one of them split along several ways."""
@@ -395,18 +398,17 @@ class ContactFit:
             square += weight * (variance + mean**2)
             wrench += weight * (spread + np.outer(made, made))
         made, apart = R @ load, self._apart(z, best)
-        variance = square - load**2 + np.sum(apart**2, axis=1)
+        variance = square - load**2 + np.sum(apart**2, axis=1) + self._grain(load)
         felt = R @ apart
-        wrench = wrench - np.outer(made, made) + felt @ felt.T
+        wrench = wrench - np.outer(made, made) + felt @ felt.T + WHOLE**2 * np.outer(made, made)
+        wrench[:3, :3] += (WHOLE * float(np.linalg.norm(made[:3]))) ** 2 * np.eye(3)
         return LocalLoad(wide * load, wide * np.sqrt(np.maximum(variance, 0.0)), wide**2 * wrench, best)
 
-    def pressed(
-        self, z: Array, local: LocalLoad, wide: float, friction: float | None, wrench: Wrench | None
-    ) -> Pressed:
+    def pressed(self, z: Array, local: LocalLoad, wide: float, friction: float | None) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone."""
         seen = np.isfinite(z)
         if not seen.all():
-            return self.on(seen).pressed(z[seen], local, wide, friction, wrench)
+            return self.on(seen).pressed(z[seen], local, wide, friction)
         f, problem = local.best, self.problem
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
@@ -431,12 +433,22 @@ class ContactFit:
         H = solve_triangular(factor, problem.whitened[:, columns], lower=True)
         R = problem.resultant[:, columns]
         solver = RegionSolver(H, lambda _: L * np.tile(FLIP, len(nodes)), R, sparse.eye_array(len(nodes)), friction)
-        asked = None if wrench is None else _over(wrench, wide)
         nothing = Answer(np.zeros(n), np.zeros(n), np.zeros((6, 6)), np.zeros((n, 6)))
-        found = solver.solve(solve_triangular(factor, z / wide, lower=True), np.ones(len(nodes), bool), asked, nothing)
+        found = solver.solve(solve_triangular(factor, z / wide, lower=True), np.ones(len(nodes), bool), None, nothing)
         load = np.zeros(problem.H.shape[1])
         load[columns] = wide * found.load
         return replace(found, load=load, std=local.std, wrench=local.wrench)
+
+    def _grain(self, load: Array) -> Array:
+        """Variance of each load (n,) by what the mesh cannot tell of one node."""
+        near, size = self._near, np.abs(load).reshape(-1, 3)
+        size = np.maximum.reduceat(size[near.indices], near.indptr[:-1], axis=0)
+        size[:, :2] = np.maximum(size[:, :2], SIDEWAYS * size[:, 2:])
+        return np.asarray((GRAIN * size).ravel() ** 2)
+
+    @cached_property
+    def _near(self) -> sparse.csr_array:
+        return around(self.places, BESIDE * self.pitch)
 
     def _apart(self, z: Array, f: Fitted) -> Array:
         """What a std of each of the sizes and ratios, which the readings leave open, changes of the load (n, 3 J)."""
@@ -518,12 +530,6 @@ class EvenEvidence:
 def _score(found: Fitted) -> float:
     """Log evidence less what as many contacts are worth by chance."""
     return found.evidence - WORTH * len(found.discs)
-
-
-def _over(wrench: Wrench, scale: float) -> Wrench:
-    """A wrench in another unit of force."""
-    torque = None if wrench.torque is None else wrench.torque / scale
-    return replace(wrench, force=wrench.force / scale, torque=torque)
 
 
 def _kept(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:
