@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from .._arrays import Array, Index, Mask
@@ -229,9 +229,8 @@ class ContactFit:
         value = -0.5 * (z @ z - half @ half) - np.sum(np.log(np.diag(factor))) - 0.5 * np.sum(ratios**2) / self.shear**2
         if not sloping:
             return float(value), np.empty(0)
-        back = solve_triangular(factor, np.eye(len(G)), lower=True, check_finite=False)
-        m = back.T @ half
-        slope = self._slopes(discs, at, np.outer(b - GT @ m, m) - (GT @ back.T) @ back)
+        m = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+        slope = self._slopes(discs, at, np.outer(b - GT @ m, m) - cho_solve((factor, True), GT.T, check_finite=False).T)
         slope.reshape(-1, 3)[:, 1:] -= ratios / self.shear**2
         return float(value), slope
 
@@ -489,13 +488,11 @@ class ContactFit:
             finer[w.nodes] += np.outer(w.finer, np.sum(small**2, axis=1))
             k += w.columns.shape[1]
         X, back = columns @ T, L @ T
+        half, mean = _solved(X, back, z)
         for change in self.tolerances:  # of the load that is found without them
-            mean = back @ np.linalg.solve(X.T @ X + np.eye(X.shape[1]), X.T @ z)
-            X = np.column_stack([X, change @ mean])
-            back = np.column_stack([back, np.zeros(len(back))])
-        factor = np.linalg.cholesky(X.T @ X + np.eye(X.shape[1]))
-        half = solve_triangular(factor, back.T, lower=True).T  # covariance of the load is half half'
-        mean = half @ solve_triangular(factor, X.T @ z, lower=True)
+            X, back = np.column_stack([X, change @ mean]), np.column_stack([back, np.zeros(len(back))])
+        if self.tolerances:
+            half, mean = _solved(X, back, z)
         felt = self.problem.resultant @ half
         return mean, np.sum(half**2, axis=1) + finer.ravel(), felt @ felt.T
 
@@ -525,6 +522,13 @@ class EvenEvidence:
         """Of whitened readings (m,)."""
         told = self.moved @ z
         return self.size - 0.5 * float(z @ (self.left @ z) - told @ told)
+
+
+def _solved(X: Array, back: Array, z: Array) -> tuple[Array, Array]:
+    """Load `back` x (n,) of readings z = X x + e, x and e white: half its covariance, half half', and its mean."""
+    Q, R = np.linalg.qr(np.vstack([X, np.eye(X.shape[1])]))
+    half = solve_triangular(R, back.T, trans="T").T
+    return half, half @ (Q[: len(z)].T @ z)
 
 
 def _score(found: Fitted) -> float:
