@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from .._results.forcemap import ForceFacts
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
+from .local import ContactFit, EvenEvidence, LocalLoad
 from .marked import ContactLaw
 from .observation import Markers, Wrench
 
@@ -159,7 +160,8 @@ class QuickMap:
     `resultant` is (6, n); `places` (n / 3, 3) are the nodes that may be loaded, `neighbours` sparse which of them share
     a cell, `markers` (N, 2), whose readings come first, `axes` for each; `reach` is the radius of the press whose
     recovery is told, `about` the middle of the surface (3,); all in m. `problem` is that of a contact prior, with the
-    `choice` that was made on the frame itself, where lambda is not fixed.
+    `choice` that was made on the frame itself, where lambda is not fixed; `contacts` fits loads about those of a frame,
+    and `normal` says whether normal motion is read.
     """
 
     family: StaticInversion
@@ -173,6 +175,8 @@ class QuickMap:
     contact: ContactLaw
     problem: GaussianProblem | None = None
     choice: Choice | None = None
+    contacts: ContactFit | None = None
+    normal: bool = True
     _solver: RegionSolver | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -185,10 +189,10 @@ class QuickMap:
         self.consistency = Consistency(self.inverse, self.markers, self.axes)
         self.recovery = self.inverse.recovery(self._press())
 
-    def __call__(self, y: Array, wrench: Wrench | None = None) -> FrameAnswer:
-        """Map of readings (m,), NaN where one is lost."""
+    def __call__(self, y: Array, wrench: Wrench | None = None, quick: bool = False) -> FrameAnswer:
+        """Map of readings (m,), NaN where one is lost; by the product alone where it must be `quick`."""
         band = self.inverse.band
-        return self._plain(y, wrench) if band is None else self._under_prior(y, wrench, band)
+        return self._plain(y, wrench) if band is None else self._under_prior(y, wrench, band, quick)
 
     def _plain(self, y: Array, wrench: Wrench | None) -> FrameAnswer:
         """Under a penalty that knows of no contact."""
@@ -208,14 +212,18 @@ class QuickMap:
         wide = max(1.0, misfit)  # as far as the markers contradict their noise, so does the map
         return self._answered(y, load, wide * std, wide**2 * covariance, (strays, misfit), found, flags)
 
-    def _under_prior(self, y: Array, wrench: Wrench | None, band: ForceBand) -> FrameAnswer:
+    def _under_prior(self, y: Array, wrench: Wrench | None, band: ForceBand, quick: bool) -> FrameAnswer:
         """Under a contact prior, which knows how far the model may be off, beside the motion of the whole image."""
         inverse, (steady, shift) = self.inverse, self._steadied(y)
         steady, strays, misfit = self.consistency.checked(steady)
         wide = max(1.0, misfit)
         if strays or wide > WIDER:  # without the strays, and by the noise that there is
             steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan), wide)
-        answer = inverse(steady)
+        answer, about = inverse(steady), None
+        if self.contacts is not None and wrench is None and not quick:  # a wrench says more
+            about = self._about(np.where(np.isfinite(steady), y, np.nan), wide)
+        if about is not None and not self.normal:
+            return self._by_contacts(steady, y, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
         variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
@@ -226,20 +234,49 @@ class QuickMap:
             moved = wide * self.image.open(shift)
             felt = inverse.resultant @ moved
             variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
-        if wrench is not None:
-            force, covariance = met(inverse.resultant @ load, covariance, wrench)
+        asked = wrench if about is None else Wrench(inverse.resultant[:3] @ about.load)
+        if asked is not None:
+            if about is None:
+                force, covariance = met(inverse.resultant @ load, covariance, asked)
+            else:
+                force, covariance = inverse.resultant @ about.load, about.wrench
             if found is None:
                 load = band.corrected(load, force)
             else:
-                found = self.pressed(steady, held(force, wrench, self.contact.friction), answer)
+                found = self.pressed(steady, held(force, asked, self.contact.friction), answer)
                 load = found.load
                 apart = inverse.resultant @ load - force
                 covariance = covariance + np.outer(apart, apart)
-        flags = [guards.unseen(self.recovery) if wrench is None else None]
-        if found is None and wrench is None:
+        flags = [guards.unseen(self.recovery) if wrench is None and about is None else None]
+        if found is None and wrench is None and about is None:
             covariance = covariance + self._blind(inverse.resultant @ load)
-        done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift)
+        done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=wide * np.sqrt(band.noise))
+
+    def _about(self, y: Array, wide: float) -> LocalLoad | None:
+        """Loads about the contacts of readings (m,), NaN where lost; None where they are not what the readings say."""
+        assert self.contacts is not None
+        z = y / self.inverse.noise
+        level = self._even(z / wide) if np.isfinite(z).all() else -np.inf
+        return self.contacts(z, wide, level)
+
+    @cached_property
+    def _even(self) -> EvenEvidence:
+        assert self.contacts is not None
+        return EvenEvidence.of(self.inverse, self.contacts.moved)
+
+    def _by_contacts(
+        self, steady: Array, y: Array, about: LocalLoad, checked: tuple[int, float], shift: ImageShift | None
+    ) -> FrameAnswer:
+        """What loads about the contacts say, where the readings do not tell of normal motion."""
+        assert self.contacts is not None
+        found = None
+        if self.contact.constrains:
+            z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
+            found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction)
+        load = about.load if found is None else found.load
+        flags = [guards.unseen(self.recovery)]
+        return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
 
     def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""
@@ -251,9 +288,11 @@ class QuickMap:
     def _answered(
         self, y: Array, load: Array, std: Array, covariance: Array, checked: tuple[int, float],
         found: Pressed | None, flags: list[Flag | None], image: ImageShift | None = None,
+        about: LocalLoad | None = None,
     ) -> FrameAnswer:  # fmt: skip
         (strays, misfit), inverse = checked, self.inverse
         path, lost = "frozen inverse", int(np.sum(~np.isfinite(y)))
+        path += "" if about is None else f", contacts: {len(about.best.discs)}"
         flags = [guards.strays(strays), guards.misfit(misfit), *flags]
         if found is not None:
             path = f"active sets on the contact region, {found.steps} steps"

@@ -124,7 +124,13 @@ class GelForce(LinearSensor):
         NotIdentifiable
             What the readings do not determine, or a contact that a half-space does not describe (LID-E602).
         """
-        answer = super().estimate(found, depth, wrench=wrench)
+        return self._held(super().estimate(found, depth, wrench=wrench))
+
+    def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
+        """Forces of one of many frames, as `LinearSensor.follow`, held against the thickness too."""
+        return self._held(super().follow(found, depth))
+
+    def _held(self, answer: ForceMap) -> ForceMap:
         flag = self._thin(answer)
         return answer if flag is None else replace(answer, flags=collect([*answer.flags, flag]))
 

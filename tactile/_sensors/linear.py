@@ -30,6 +30,7 @@ from .fixed import QuickMap, whole_motion
 from .gaussian import Errors, GaussianProblem, ModelError, around
 from .image import ImageMotion
 from .inversion import Inverse, Pressed, prepare
+from .local import ContactFit
 from .marked import FEWEST, ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
 from .posing import (
@@ -145,6 +146,7 @@ class LinearSensor(MarkedSensor):
             self.problem = self._posed(self.prior, image, partial(body.errors, whole, parts))
             self.family = self.problem.family(choice, noise_source, allow)
         self._quick: dict[bool, QuickMap] = {}
+        self._fits: dict[bool, ContactFit] = {}
 
     def __repr__(self) -> str:
         rows, loads = self.model.H.shape
@@ -193,6 +195,22 @@ class LinearSensor(MarkedSensor):
         if self.frozen:
             return self._mapped(self._quick_map(self._deep(y)), y, wrench, flags)
         return self._thorough(y, wrench, flags) if self.problem is None else self._chosen(y, wrench, flags)
+
+    def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
+        """Force map of one of many frames, as `estimate`; with lambda frozen by the one product alone.
+
+        Under a contact prior `estimate` fits loads about the contacts, which takes some tenths of a second; without
+        them bands are wider, and markers in the plane tell hardly more than shear.
+
+        Raises
+        ------
+        InputError, NotIdentifiable
+            As `estimate`.
+        """
+        if not self.frozen or self.problem is None:
+            return self.estimate(found, depth)
+        y, flags = self._of_frame(found, depth, None)
+        return self._mapped(self._quick_map(self._deep(y)), y, None, flags, quick=True)
 
     def calibrate(
         self,
@@ -345,7 +363,21 @@ class LinearSensor(MarkedSensor):
             self.contact,
             None if self.problem is None else self.problem.on(rows),
             choice,
+            self._contacts(with_depth),
+            self.markers.axes == "XYZ" or (with_depth and self.depth is not None),
         )
+
+    def _contacts(self, with_depth: bool) -> ContactFit | None:
+        """Fits loads about contacts under a contact prior, with a depth map or without; made once."""
+        if self.problem is None:
+            return None
+        if with_depth not in self._fits:
+            problem = self.problem.on(slice(None) if with_depth else slice(self.markers.readings_count))
+            motion = problem.motion
+            moved = np.zeros((len(problem.noise), 0)) if motion is None else motion.columns * motion.std
+            places = self.geometry["coordinates"][self.kept[::3] // 3]
+            self._fits[with_depth] = ContactFit(problem, places, self._thick, moved / problem.noise[:, None])
+        return self._fits[with_depth]
 
     def _deep(self, y: Array) -> bool:
         """Whether readings (m,) hold those of a depth map, or none are expected."""
@@ -370,17 +402,19 @@ class LinearSensor(MarkedSensor):
         motion = None if self.problem is None else self.problem.motion
         return y if motion is None else y - motion.columns @ motion.typical(y)
 
-    def _mapped(self, quick: QuickMap, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
+    def _mapped(
+        self, frozen: QuickMap, y: Array, wrench: Wrench | None, flags: list[Flag | None], quick: bool = False
+    ) -> ForceMap:
         """The map at the lambda of a frozen inverse."""
         count, depth = self.markers.readings_count, self._deep(y)
-        found = quick(y if depth else y[:count], wrench)
+        found = frozen(y if depth else y[:count], wrench, quick)
         facts = replace(found.facts, provided=self.provided(depth and self.depth is not None))
         if found.image is not None:
             image = found.image
             facts = replace(facts, image=tuple(map(float, image.values)), image_std=tuple(map(float, image.std)))
         if found.image is None:
             spread = found.std / max(1.0, found.facts["misfit"])  # a motion of all markers widens the band
-            moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: quick.inverse)
+            moved = self._moved(y, found.load, spread, slice(None) if depth else slice(count), lambda: frozen.inverse)
         else:
             moved = guards.moved(found.image, None if self.eye is None else self.eye.pixel)
             flags = [*flags, guards.unpressed(self.resultant[:3] @ found.load, found.wrench[:3, :3])]

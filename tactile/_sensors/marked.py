@@ -244,6 +244,10 @@ class MarkedSensor:
         """Force map of one frame."""
         raise NotImplementedError
 
+    def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
+        """Force map of one of many frames, as fast as this sensor can."""
+        return self.estimate(found, depth)
+
     def stream(self, frames: Iterable[Any], depths: Iterable[DepthMap] | None = None) -> ForceStream:
         """Force maps of frames, one after another, as they come; dead frames are left out, see `ForceStream`.
 
@@ -370,7 +374,7 @@ class ForceStream:
             try:
                 if isinstance(frame, UnusableFrame):
                     raise frame
-                found = self._sensor.estimate(frame, depth)
+                found = self._sensor.follow(frame, depth)
             except UnusableFrame as error:
                 self._first, why = self._first or error, why or error.what
                 self._lost.append(self.number)

@@ -336,7 +336,7 @@ class Live:
             raise UnusableFrame("no image", where=f"frame {item.number}", found="nothing")
         y = self.sensor.markers.readings(item.motion)
         self._zeroed(item, y)
-        found = self.sensor.estimate(item.motion, item.depth)
+        found = self.sensor.follow(item.motion, item.depth)
         gap = guards.skipped(self._lost, self._why)
         self._lost, self._why = [], ""
         found = replace(found, flags=collect([*found.flags, *item.flags, gap]))

@@ -55,6 +55,8 @@ class Mapped:
         Whether a frame at rest raises no W611, and a shift of the image by a quarter of a pixel or more does.
     shifted : float
         Error of the force in that shifted frame, over the force.
+    force : float
+        True normal force (N); the largest of a run is the full scale of its shifted frames.
     codes : frozenset of str
     """
 
@@ -70,6 +72,7 @@ class Mapped:
     quiet: bool | None
     found: bool | None
     shifted: float
+    force: float
     codes: frozenset[str]
 
 
@@ -161,7 +164,7 @@ def held(user: User, sensor: MultilayerPad, case: Case, best: float, how: str) -
         np.abs(away) <= Z95 * force.std, float(2 * Z95 * force.std[2] / normal), inside[under].mean(axis=0),
         float(inside[~under].mean()), _error(t, true), best,
         float(np.sum(t * true) / np.linalg.norm(t) / np.linalg.norm(true)) if t.any() else 0.0, quiet, seen, shifted,
-        frozenset(f.code.removeprefix("LID-") for f in found.flags),
+        float(normal), frozenset(f.code.removeprefix("LID-") for f in found.flags),
     )  # fmt: skip
 
 
@@ -198,8 +201,8 @@ def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Itera
                     yield held(user, open_, case, least, "each")
 
 
-def line(name: str, found: Sequence[Mapped]) -> str:
-    """One row of the table."""
+def line(name: str, found: Sequence[Mapped], full: float) -> str:
+    """One row of the table; `full` scale in N."""
     close, inside, covered = (np.array([getattr(m, a) for m in found]) for a in ("close", "inside", "covered"))
     right = close | inside
     parts = [
@@ -214,14 +217,15 @@ def line(name: str, found: Sequence[Mapped]) -> str:
     told = [m for m in found if m.quiet is not None]
     if told:
         parts.append(f"  {np.mean([not m.quiet for m in told]):5.0%} {np.mean([bool(m.found) for m in told]):5.0%} "
-                     f"{np.median([m.shifted for m in told]):6.2f}")  # fmt: skip
+                     f"{np.median([m.shifted for m in told]):6.2f} "
+                     f"{np.median([m.shifted * m.force for m in told]) / full:6.1%}")  # fmt: skip
     return "".join(parts)
 
 
 HEADING = (
     f"{'':22s} {'n':>4s}   {'5 %':>5s} {'shear':>5s}   {'band':>4s} {'shear':>5s}  {'right':>5s} {'shear':>5s}  "
     f"{'width':>6s}  {'there':>5s} {'x':>5s} {'y':>5s} {'z':>5s} {'else':>5s}  {'map':>5s} {'/best':>5s} {'90 %':>5s} "
-    f"{'cos':>5s}  {'alarm':>5s} {'found':>5s} {'moved':>6s}"
+    f"{'cos':>5s}  {'alarm':>5s} {'found':>5s} {'moved':>6s} {'full':>6s}"
 )
 
 
@@ -231,14 +235,15 @@ def table(found: Sequence[Mapped]) -> None:
     Columns: forces within 5 % of the normal force, normal and shear; within their 95 % band; either; width of that band
     over the normal force (median); tractions under the press in their band, all and by component, and elsewhere; map
     error (median), over that at the best lambda (median, 90 %); cosine; W611 in frames at rest, and in frames whose
-    image is shifted, and the error of the force in these.
+    image is shifted, and the error of the force in these, over the force and over the largest normal force of the run.
     """
     print(HEADING)
+    full = max(m.force for m in found)
     for kind in dict.fromkeys(m.groups[0] for m in found):
         of = [m for m in found if m.groups[0] == kind]
-        print(line(kind, of))
+        print(line(kind, of, full))
         for ratio in sorted({m.groups[1] for m in of}):
-            print(line(f"   {ratio}", [m for m in of if m.groups[1] == ratio]))
+            print(line(f"   {ratio}", [m for m in of if m.groups[1] == ratio], full))
     for code in sorted({c for m in found for c in m.codes}):
         by = {k: np.mean([code in m.codes for m in found if m.groups[0] == k]) for k in
               dict.fromkeys(m.groups[0] for m in found)}  # fmt: skip

@@ -101,7 +101,7 @@ def test_what_is_no_prior_is_one_clear_error(make: object) -> None:
 def test_the_answer_is_that_of_dense_matrices() -> None:
     s, y = made(image=None), motion(1).ravel()
     G, H, C = dense(s, np.arange(len(y)))
-    found = s.estimate(motion(1))
+    found = s.follow(motion(1))  # the product alone
     assert relative(found.load, G @ (y / NOISE)) < 1e-8
     left = np.eye(len(C)) - G @ H
     assert s.inverse.band is not None
@@ -113,9 +113,9 @@ def test_lost_markers_are_as_if_they_were_not_there() -> None:
     s, y = made(image=None), motion(1).copy()
     y[[40, 41, 97, 100]] = np.nan
     kept = np.flatnonzero(np.isfinite(y.ravel()))
-    found = s.estimate(y)
+    found = s.follow(y)
     assert relative(found.load, dense(s, kept)[0] @ (y.ravel()[kept] / NOISE)) < 1e-7
-    assert np.all(found.std >= 0.999 * s.estimate(motion(1)).std.min())
+    assert np.all(found.std >= 0.999 * s.follow(motion(1)).std.min())
 
 
 def test_frozen_and_chosen_agree_at_one_lambda() -> None:

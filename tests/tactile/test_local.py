@@ -1,0 +1,72 @@
+"""Loads about the contacts of a frame: their evidence against dense covariances, and presses on another mesh."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from case_studies.bodies import Patch, surfaces
+from tactile import Markers, MultilayerPad, Pad
+from tactile._sensors.local import OWN, ContactFit, Disc
+
+E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
+
+
+def markers() -> np.ndarray:
+    x, y = (np.arange(-s / 2 + 0.7e-3, s / 2 - 0.5e-3, 1e-3) for s in SIZE)
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+@lru_cache(maxsize=1)
+def sensor() -> MultilayerPad:
+    return MultilayerPad(Pad(size=SIZE, thickness=THICK, E=E, nu=NU), Markers(markers(), NOISE, "XY"), choice=0.03)
+
+
+@lru_cache(maxsize=1)
+def fit() -> ContactFit:
+    found = sensor()._contacts(with_depth=True)
+    assert found is not None
+    return found
+
+
+def pressed() -> tuple[np.ndarray, np.ndarray]:
+    """Motion (N, 2) under a flat press with shear on another mesh, and its force."""
+    patch = Patch("flat", (0.9e-3, -0.6e-3), (1.4e-3, 0.0), 0.0, (0.03, -0.02, -0.15))
+    moved = surfaces([(patch,)], "fe", SIZE, THICK, NU)[0](markers())[:, :2] / E
+    return moved + NOISE * np.random.default_rng(5).standard_normal(moved.shape), np.array(patch.force)
+
+
+def test_the_evidence_is_that_of_a_dense_covariance() -> None:
+    f, discs = fit(), (Disc(1, -1, 3), Disc(-4, 2, 1))
+    at = np.array([8.0, 0.2, -0.1, 7.0, -0.3, 0.05])
+    z = np.random.default_rng(0).standard_normal(len(f.moved))
+    S = np.eye(len(z)) + f.moved @ f.moved.T
+    for disc, (size, u, v) in zip(discs, at.reshape(2, 3), strict=True):
+        w = f.window(disc)
+        q, share = w.modes.shape[1], np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
+        for first in range(0, w.columns.shape[1], 3 * q):
+            A = w.columns[:, first : first + 3 * q]
+            S += A @ np.kron(share, np.eye(q)) @ A.T
+    dense = -0.5 * z @ np.linalg.solve(S, z) - 0.5 * np.linalg.slogdet(S)[1]
+    ratios = at.reshape(2, 3)[:, 1:]
+    value, slope = f._value(z, discs, at)
+    assert np.isclose(value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
+    for k, step in enumerate(1e-5 * np.eye(6)):
+        up, down = (f._value(z, discs, at + sign * step)[0] for sign in (1, -1))
+        assert np.isclose(slope[k], (up - down) / 2e-5, rtol=1e-4, atol=1e-4)
+
+
+def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
+    y, force = pressed()
+    found, quick = sensor().estimate(y), sensor().follow(y)
+    told = found.resultant()
+    assert np.all(np.abs(told.value - force) < 0.15 * 0.15)
+    assert np.all(np.abs(told.value - force) < 3 * told.std)
+    assert 2 * 1.96 * told.std[2] < 0.6 * 0.15 < quick.resultant().std[2] * 2 * 1.96
+    assert "LID-W608" in {f.code for f in found.flags}
+
+
+def test_a_frame_at_rest_has_no_contact() -> None:
+    rest = NOISE * np.random.default_rng(7).standard_normal((len(markers()), 2))
+    assert fit()(rest.ravel() / NOISE) is None
