@@ -112,8 +112,8 @@ def plain(value: Any) -> Any:
         A quantity of pint: a door that takes numbers takes them in SI.
     """
     if type(value).__module__.partition(".")[0] == "pint":
-        raise InputError("a quantity of pint where numbers are expected", found=shown(value), expected="numbers in SI",
-                         hint="pass q.to_base_units().magnitude")  # fmt: skip
+        raise InputError("a quantity of pint where numbers are expected", where="array", found=shown(value),
+                         expected="numbers in SI", hint="pass q.to_base_units().magnitude")  # fmt: skip
     if isinstance(value, list | tuple) and any(np.ma.isMaskedArray(one) for one in value):
         try:
             value = np.ma.array([np.ma.getdata(v) for v in value], mask=[np.ma.getmaskarray(v) for v in value])

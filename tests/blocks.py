@@ -146,5 +146,10 @@ def _command(block: Block, words: list[str]) -> None:
         exec(compile(words[2], str(block), "exec"), {})
         return
     assert words[0] == "loadid", f"{block}: {' '.join(words)} is no line that a test can run; mark it"
-    code = cli.main(words[1:])
+    words, target = (words[:-2], words[-1]) if words[-2:-1] == [">"] else (words, "")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said) if target else contextlib.nullcontext():
+        code = cli.main(words[1:])
+    if target:
+        Path(target).write_text(said.getvalue(), "utf-8")
     assert code == 0, f"{block}: {' '.join(words)} ended with {code}"

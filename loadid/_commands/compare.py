@@ -6,7 +6,6 @@ import time
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,10 +31,13 @@ from .identify import responses_of
 if TYPE_CHECKING:
     from structures._model import Model
 
+    from .._page.chart import Chart
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
 KIND = "comparison"
+OUTPUTS = (".html", ".htm", ".h5")
+LOOKS, FEW = 6, 60  # curves that one chart tells apart; points below which they are dots
 HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, settings, prior of `recommend`
     "deconvolution": ("deconvolution", {}, "tikhonov"),
     "smooth": ("deconvolution", {"variance": "smooth"}, ""),
@@ -341,9 +343,7 @@ def _configure(parser: ArgumentParser) -> None:
 
 def _run(args: Namespace) -> int:
     suffix = None if args.output is None else Path(args.output).suffix.lower()
-    if suffix not in (None, ".html", ".htm", ".h5"):
-        raise InputError("no such kind of file", where=f"-o {args.output}", found=suffix, expected=".html or .h5")
-    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model])
+    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model], suffixes={"-o": OUTPUTS})
     with Bar() as bar:
         found = compare(args.log, args.model, families=args.families, validation=args.validation, noise=args.noise,
                         progress=bar, record=one_record(args), **settings(args))  # fmt: skip
@@ -386,30 +386,44 @@ def _picture(found: RecordComparison, path: str | Path) -> bytes:
 
 
 def _page(found: RecordComparison, log: str) -> str:
-    """A page of its own: both tables, and the picture."""
-    picture = _picture(found, "loads.svg").decode("utf-8", "replace")
-    picture = picture[picture.find("<svg") :]
+    """A page of its own: the loads of all families, what each makes of the record, and what the rules say."""
+    from .. import _page as page
 
-    def rows(head: Sequence[str], cells: Sequence[Sequence[str]]) -> str:
-        top = "".join(f"<th>{escape(text)}</th>" for text in head)
-        body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in cells)
-        return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+    kept = f"; kept out: {', '.join(found.kept_out)}" if found.kept_out else ""
+    refused = [f"{row.name}: {row.refused}" for row in found.families if row.refused]
+    sections = [
+        page.Section("Families", page.table([_family_cells(row) for row in found.families], FAMILY_HEAD)),
+        page.Section("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
+        page.Section("Refused", page.paragraphs(*refused) if refused else ""),
+        page.Section("Rules for lambda", page.joined(
+            page.paragraphs(found.verdict), page.table([_rule_cells(row) for row in found.rules], RULE_HEAD))),
+    ]  # fmt: skip
+    return page.document("Families and rules", sections, about=f"{log}; {found.load}{kept}")
 
-    refused = "".join(f"<li>{escape(r.name)}: {escape(r.refused)}</li>" for r in found.families if r.refused)
-    kept = f", kept out: {escape(', '.join(found.kept_out))}" if found.kept_out else ""
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
-        'content="width=device-width,initial-scale=1"><title>Families and rules</title><style>'
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
-        "table{border-collapse:collapse;display:block;overflow-x:auto}td,th{padding:.2rem .7rem;text-align:right;"
-        "border-bottom:1px solid #ccc}td:first-child,th:first-child{text-align:left}svg{max-width:100%;height:auto}"
-        "@media(prefers-color-scheme:dark){body{background:#111;color:#ddd}svg{background:#fff}}</style></head><body>"
-        f"<h1>Families and rules</h1><p>{escape(log)}; {escape(found.load)}{kept}</p>"
-        f"{rows(FAMILY_HEAD, [_family_cells(r) for r in found.families])}"
-        f"{'<p>Refused:</p><ul>' + refused + '</ul>' if refused else ''}{picture}"
-        f"<h2>Rules for lambda</h2><p>{escape(found.verdict)}</p>"
-        f"{rows(RULE_HEAD, [_rule_cells(r) for r in found.rules])}</body></html>"
-    )
+
+def _charts(found: RecordComparison) -> list[Chart]:
+    """The load with the largest peak, of at most so many families each as there are looks of a curve."""
+    import numpy as np
+
+    from .._page.chart import Chart, Curve
+
+    curves: list[Curve] = []
+    for name, e in found.estimates.items():
+        load = np.real(np.atleast_2d(e.load))
+        if e.axis is not None and len(load) > 1:
+            y, x = load[:, int(np.argmax(np.max(np.abs(load), axis=0)))], np.asarray(e.axis.values, float)
+        else:
+            y, x = load[0], np.arange(load.shape[1], dtype=float)
+        curves.append(Curve(name, y, f"other{len(curves) % LOOKS}", dots=len(y) < FEW, x=x))
+    over = "time [s]" if any(e.axis is not None for e in found.estimates.values()) else "load"
+    return [
+        Chart(
+            title=found.load, x_name=over, y_name=found.load, x=some[0].x, curves=some,
+            said=f"{found.load} as found by {', '.join(c.name for c in some)}",
+        )
+        for some in (curves[k : k + LOOKS] for k in range(0, len(curves), LOOKS))
+        if some[0].x is not None
+    ]  # fmt: skip
 
 
 command = Command("compare", "families and rules on one record, in one table", _configure, _run)
