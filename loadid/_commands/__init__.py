@@ -186,6 +186,19 @@ def band(text: str) -> tuple[float, float]:
     return ends
 
 
+def stds(text: str) -> list[float]:
+    """``"0.1,0.2"`` as positive numbers, at least one."""
+    return [positive(part) for part in names(text)] or [positive(text)]
+
+
+def hit(text: str) -> tuple[float, float]:
+    """``"0.001:100"`` as duration (s) and peak of a hit."""
+    duration, sign, peak = text.partition(":")
+    if not sign:
+        raise ArgumentTypeError(f"{text!r} is no hit S:PEAK, for example 0.001:100")
+    return positive(duration), positive(peak)
+
+
 def count(text: str) -> int:
     """A whole number > 0."""
     if not (text.strip().isascii() and text.strip().isdecimal() and int(text) > 0):
