@@ -419,6 +419,10 @@ def require_outputs(
             raise InputError("two outputs are one file", where=f"{option} {path}", found=f"also {twin}",
                              expected="a file for each",
                              hint="choose another name for one of them; nothing was written")  # fmt: skip
+        if option == "--report":
+            from .._page import require_page
+
+            require_page(path, f"{option} {path}")
         if option in known:
             storage.require_suffix(path, known[option], where=f"{option} {path}")
 

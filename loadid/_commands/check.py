@@ -369,7 +369,7 @@ def _configure(parser: ArgumentParser) -> None:
         "--response", type=channels, metavar="CH,...", help="channels, in the order of the model's sensors"
     )
     parser.add_argument("--pulse", type=hit, metavar="S:PEAK",
-                        help="hit whose error is expected, peak in the unit of the load; default 0.001:100")  # fmt: skip
+                        help="hit whose error is expected, peak in the load's unit; default 0.001:100")  # fmt: skip
     parser.add_argument(
         "--noise", type=stds, metavar="STD,...", help="of the sensors in SI: one, or one for each of the model"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from structures._flags import known_codes
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from .._results.summary import against, comparison, summary
+from .._results.summary import UNEXPLAINED, against, comparison, summary
 from . import (
     NONE,
     Bar,
@@ -44,6 +44,20 @@ if TYPE_CHECKING:
     from .._results.location import LocationResult
 
 
+EXAMPLES = """\
+examples:
+  the load of a record, by the family that model and data ask for, with a report and a picture:
+    loadid identify log.csv --model model.h5 -o load.h5 --report load.html --plot load.png
+  channels of other names, a load that only pushes, and the load cell of the log to compare with:
+    loadid identify log.csv --model model.h5 -o load.h5 --response acc1,acc2 --nonnegative --truth hammer
+  a static load from readings, with the noise of the gauges and one gauge kept out:
+    loadid identify gauges.csv --model wing.h5 -o load.h5 --family static --noise 1e-6 --validation root
+  a job file, as it is written beside every result; options override it:
+    loadid identify load.job.toml --choice gcv
+
+FRFs are models: --model frfs.uff takes those of a universal file. The exit code is 1 where the answer is written but
+begins with NOT TO BE USED, unless --allow W412.
+"""
 JOB = (
     "family", "method", "penalty", "variance", "choice", "path", "initial", "leak", "dictionary", "nonnegative",
     "signal", "over", "level", "band", "segment", "allow",
@@ -241,6 +255,7 @@ def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -
 
 
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("log", metavar="LOG|JOB.toml", nargs="?", help="log with the responses, or a job that names it")
     parser.add_argument("--job", metavar="JOB.toml", help="job file; options override what it says")
     parser.add_argument("--model", metavar="MODEL.h5", help="model file, from calibrate for example")
@@ -342,7 +357,12 @@ def _run(args: Namespace) -> int:
     ]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
-    return 0
+    return exit_code(estimate)
+
+
+def exit_code(estimate: LoadEstimate | None) -> int:
+    """0, or 1 where the answer says of itself that it is not to be used, and nobody allowed that."""
+    return int(estimate is not None and UNEXPLAINED in estimate.codes and UNEXPLAINED not in estimate.allowed)
 
 
 def _own_job(args: Namespace) -> Path | None:
@@ -371,7 +391,7 @@ def _located(args: Namespace, job: Mapping[str, Any], found: LocationResult, kep
         lines.append(summary(found.estimate, details=args.details, command=True))
     full = {} if found.estimate is None else {"estimate": found.estimate.to_dict(arrays=args.json_full)}
     emit(args, {**found.to_dict(), **full, "written": written}, "\n".join([*lines, f"written: {', '.join(written)}"]))
-    return 0
+    return exit_code(found.estimate)
 
 
 def write_all(

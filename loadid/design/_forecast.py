@@ -2,9 +2,9 @@
 
 A load f is found from H f and noise as the minimum of ``|H g - y|^2 + lam^2 |g / w|^2``, rows in units of their noise:
 over a short record from rest, with the prior std w of a load that acts when the pulse does, as the local variance of
-`loadid.Penalty` finds it on a record; or line by line, w constant, where a model has FRFs alone. What that leaves out is
-the bias, what it lets in is the noise, of the sensors and of the FRFs themselves where their variance is known: closed
-forms of one singular value decomposition. Lambda is the one of the least expected error, which the rules seek on a record.
+`loadid.Penalty` finds it on a record; or line by line, w constant, where a model has FRFs alone. What that leaves out
+is the bias, what it lets in is the noise, of the sensors and of the FRFs themselves where their variance is known:
+closed forms of one singular value decomposition. Lambda is that of the least expected error; rules seek it on a record.
 
 Source: P. C. Hansen, Discrete Inverse Problems (2010), sections 4.2, 5.1 and 8.1 (perturbation error, general form).
 """
