@@ -294,7 +294,7 @@ def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str,
 
 
 def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
-    """Model of a file: one that was saved here, or the FRFs of a universal file that states what they are.
+    """Model of a file: one that was saved here, or FRFs of a universal file or a text that states what they are.
 
     Raises
     ------

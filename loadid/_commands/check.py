@@ -289,7 +289,7 @@ def _alike(H: Any, labels: list[str]) -> dict[str, Any]:
     seen = size > 1e-12 * size.max()
     unseen = [label for label, there in zip(labels, seen, strict=True) if not there]
     rows = rows / np.where(seen, size, 1.0)
-    G = np.abs(rows.conj().T @ rows)
+    G = np.abs(np.einsum("li,lj->ij", rows.conj(), rows))
     np.fill_diagonal(G, -1.0)
     i, j = (int(k) for k in np.unravel_index(int(np.argmax(G)), G.shape))
     pair = {"loads": sorted((labels[i], labels[j]), key=labels.index), "cosine": float(min(G[i, j], 1.0))}

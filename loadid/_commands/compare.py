@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
@@ -35,6 +35,13 @@ if TYPE_CHECKING:
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
+EXAMPLES = """\
+examples:
+  every family on one record, the last sensor kept out and predicted, with a page:
+    loadid compare log.csv --model model.h5 -o comparison.html
+  three of them, with another sensor kept out:
+    loadid compare log.csv --model model.h5 --families deconvolution,pushing,spikes --validation acc2 --plot loads.png
+"""
 KIND = "comparison"
 HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, settings, prior of `recommend`
     "deconvolution": ("deconvolution", {}, "tikhonov"),
@@ -327,6 +334,7 @@ def _rules(model: Model, record: Record, level: Any, labels: list[str], kind: st
 
 # -- the command -------------------------------------------------------------------------------------------------------
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("log", metavar="LOG", help="log with the responses")
     parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file")
     parser.add_argument("-o", "--output", metavar="PAGE.html|TABLE.h5", help="also write a page, or the numbers")
@@ -343,7 +351,8 @@ def _run(args: Namespace) -> int:
     suffix = None if args.output is None else Path(args.output).suffix.lower()
     if suffix not in (None, ".html", ".htm", ".h5"):
         raise InputError("no such kind of file", where=f"-o {args.output}", found=suffix, expected=".html or .h5")
-    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model])
+    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model],
+                    suffixes={"-o": (".html", ".htm", ".h5")})  # fmt: skip
     with Bar() as bar:
         found = compare(args.log, args.model, families=args.families, validation=args.validation, noise=args.noise,
                         progress=bar, record=one_record(args), **settings(args))  # fmt: skip

@@ -12,7 +12,7 @@ from structures._flags import known_codes
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from .._results.summary import UNEXPLAINED, against, comparison, summary
+from .._results.summary import against, comparison, summary
 from . import (
     NONE,
     Bar,
@@ -55,8 +55,7 @@ examples:
   a job file, as it is written beside every result; options override it:
     loadid identify load.job.toml --choice gcv
 
-FRFs are models: --model frfs.uff takes those of a universal file. The exit code is 1 where the answer is written but
-begins with NOT TO BE USED, unless --allow W412.
+FRFs are models: --model takes those of a universal file or a text table.
 """
 JOB = (
     "family", "method", "penalty", "variance", "choice", "path", "initial", "leak", "dictionary", "nonnegative",
@@ -357,12 +356,7 @@ def _run(args: Namespace) -> int:
     ]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
-    return exit_code(estimate)
-
-
-def exit_code(estimate: LoadEstimate | None) -> int:
-    """0, or 1 where the answer says of itself that it is not to be used, and nobody allowed that."""
-    return int(estimate is not None and UNEXPLAINED in estimate.codes and UNEXPLAINED not in estimate.allowed)
+    return 0
 
 
 def _own_job(args: Namespace) -> Path | None:
@@ -391,7 +385,7 @@ def _located(args: Namespace, job: Mapping[str, Any], found: LocationResult, kep
         lines.append(summary(found.estimate, details=args.details, command=True))
     full = {} if found.estimate is None else {"estimate": found.estimate.to_dict(arrays=args.json_full)}
     emit(args, {**found.to_dict(), **full, "written": written}, "\n".join([*lines, f"written: {', '.join(written)}"]))
-    return exit_code(found.estimate)
+    return 0
 
 
 def write_all(
