@@ -186,6 +186,19 @@ def band(text: str) -> tuple[float, float]:
     return ends
 
 
+def stds(text: str) -> list[float]:
+    """``"0.1,0.2"`` as positive numbers, at least one."""
+    return [positive(part) for part in names(text)] or [positive(text)]
+
+
+def hit(text: str) -> tuple[float, float]:
+    """``"0.001:100"`` as duration (s) and peak of a hit."""
+    duration, sign, peak = text.partition(":")
+    if not sign:
+        raise ArgumentTypeError(f"{text!r} is no hit S:PEAK, for example 0.001:100")
+    return positive(duration), positive(peak)
+
+
 def count(text: str) -> int:
     """A whole number > 0."""
     if not (text.strip().isascii() and text.strip().isdecimal() and int(text) > 0):
@@ -281,7 +294,7 @@ def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str,
 
 
 def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
-    """Model of a file: one that was saved here, or the FRFs of a universal file that states what they are.
+    """Model of a file: one that was saved here, or FRFs of a universal file or a text that states what they are.
 
     Raises
     ------
@@ -406,6 +419,10 @@ def require_outputs(
             raise InputError("two outputs are one file", where=f"{option} {path}", found=f"also {twin}",
                              expected="a file for each",
                              hint="choose another name for one of them; nothing was written")  # fmt: skip
+        if option == "--report":
+            from .._page import require_page
+
+            require_page(path, f"{option} {path}")
         if option in known:
             storage.require_suffix(path, known[option], where=f"{option} {path}")
 

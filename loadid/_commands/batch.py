@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
@@ -14,10 +14,21 @@ if TYPE_CHECKING:
     from .._batch.results import Results
     from .._batch.run import Run
 
+EXAMPLES = """\
+examples:
+  what all records of a plan will cost, from its first ones:
+    loadid batch plan.toml --estimate
+  all of them; where it was interrupted, the same again with --resume:
+    loadid batch plan.toml --workers 4
+    loadid batch plan.toml --resume
+
+docs/batch.md says what a plan holds. The exit code is 3 where a record has no answer.
+"""
 SHOWN = 8  # records without an answer that are listed here; the tables list all
 
 
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("plan", metavar="PLAN.toml", help="assets, their records, and what is asked (docs/batch.md)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="dask scheduler, tcp://host:8786; default: this machine")
     parser.add_argument("--resume", action="store_true", help="go on in an output folder that is there")
@@ -47,7 +58,7 @@ def _run(args: Namespace) -> int:
                 run.go(most=1)  # by the same worker, which has loaded and compiled
                 emit(args, _cost(run), _said_cost(run))
                 return 0
-            run.go(known=None if args.json else lambda: print(_said_cost(run), flush=True))
+            run.go(known=None if args.json or args.hushed else lambda: print(_said_cost(run), flush=True))
         finally:
             run.close()
     found = results.gathered(asked, listed, run.failed)

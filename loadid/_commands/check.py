@@ -1,8 +1,8 @@
-"""``loadid check``: every guard that needs no inversion, on a log, on a model, or on both."""
+"""``loadid check``: every guard that needs no inversion, on a log, on a model, or on both; what accuracy to expect."""
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,7 +13,7 @@ from structures.errors import InputError, NotIdentifiable, digests
 
 from .._results.summary import number
 from ..codes import GUARDS
-from . import Command, UsageError, add_log_options, channels, emit, load_model, read_records, settings
+from . import Command, UsageError, add_log_options, channels, emit, hit, load_model, read_records, settings, stds
 from .identify import responses_of
 
 if TYPE_CHECKING:
@@ -32,6 +32,17 @@ NAMES = {
 }
 
 
+EXAMPLES = """\
+examples:
+  is every channel sound, before anything is inverted:
+    loadid check log.csv
+  what can these sensors tell, and how well would a hit of 2 ms and 500 N be found, before anything is measured:
+    loadid check --model model.h5 --pulse 0.002:500 --noise 0.05
+  do log and model belong together, and does a sensor contradict the others:
+    loadid check log.csv --model model.h5
+"""
+
+
 @dataclass
 class Findings:
     """What was checked, what fired, and what is known of the layout."""
@@ -40,6 +51,9 @@ class Findings:
     flags: list[tuple[str, Flag]] = field(default_factory=list)
     layout: dict[str, Any] = field(default_factory=dict)
     notes: list[tuple[str, str]] = field(default_factory=list)
+    forecast: Any = None  # `loadid.design._forecast.Forecast` of a dynamic model
+    static: Any = None  # `loadid.design._layout.Judged` where static loads are seen
+    stated: str = ""  # what that takes for granted
 
     def run(self, code: str, where: str, guard: Callable[[], Any]) -> None:
         """Ask one guard, which answers with None, a flag or several of them."""
@@ -60,7 +74,16 @@ class Findings:
         fired = [{"where": where, **f.to_dict()} for where, f in self.flags]
         notes = [{"where": where, "note": note} for where, note in self.notes]
         checked = sorted(self.checked)
-        return {"flags": fired, "checked": checked, "silent": self.silent, "layout": self.layout, "notes": notes}
+        told = {"forecast": None if self.forecast is None else self.forecast.to_dict(),
+                "static": None if self.static is None else self.static.to_dict()}  # fmt: skip
+        return {
+            "flags": fired,
+            "checked": checked,
+            "silent": self.silent,
+            "layout": self.layout,
+            **told,
+            "notes": notes,
+        }
 
 
 def check(
@@ -69,9 +92,11 @@ def check(
     *,
     responses: list[str] | None = None,
     records: list[str] | None = None,
+    pulse: tuple[float, float] | None = None,
+    noise: list[float] | None = None,
     **reading: Any,
 ) -> Findings:
-    """Ask every guard that needs no inversion.
+    """Ask every guard that needs no inversion, and what accuracy to expect.
 
     Parameters
     ----------
@@ -81,6 +106,10 @@ def check(
         Channels of the log in the order of the sensors of the model; default those of the same names.
     records : list of str, optional
         Names of the records to check; default all.
+    pulse : (float, float), optional
+        Duration (s) and peak of the hit whose error is expected; default 1 ms and 100 units of the load.
+    noise : list of float, optional
+        Std of the sensors, SI: one, or one for each; default that of the model, else of the first record.
     **reading
         As for `loadid._readers.read`.
 
@@ -103,7 +132,53 @@ def check(
         findings.run("W209", where, partial(_of, record.flags, "W209"))
         if known is not None:
             check_pair(findings, known, record, where, responses)
+    if known is not None:
+        expect(findings, known, found[0] if found else None, responses, pulse, noise)
     return findings
+
+
+def expect(
+    findings: Findings,
+    model: Model,
+    record: Record | None,
+    responses: list[str] | None,
+    pulse: tuple[float, float] | None,
+    noise: list[float] | None,
+) -> None:
+    """What accuracy to expect: of a hit where the model is dynamic, of a static load where it gives that alone."""
+    from .._quality import noise_std
+    from ..design._forecast import Pulse, forecast
+
+    hit = Pulse() if pulse is None else Pulse(*pulse)
+    given: Any = None if noise is None else noise[0] if len(noise) == 1 else noise
+    said, dt = "stated", None
+    if record is not None:
+        used = responses_of(record, model, responses)
+        dt = used.dt
+        told = noise_std(used) if given is None and model.noise is None else None
+        given, said = (given, said) if told is None else (told[0], str(told[1]))
+    if model.gives("impulse_response") or model.gives("frf"):
+        try:
+            findings.forecast = forecast(model, pulse=hit, noise=given, noise_source=said, dt=dt)
+        except (InputError, NotIdentifiable) as error:
+            findings.notes.append(("expected error of a hit", f"not known: {error.command}"))
+    if model.gives("static") and not _blind(model):
+        try:
+            findings.static, findings.stated = _judged(model, given, hit.peak)
+        except (InputError, NotIdentifiable) as error:
+            findings.notes.append(("expected error of a static load", f"not known: {error.command}"))
+
+
+def _judged(model: Model, noise: Any, size: float) -> tuple[Any, str]:
+    """Std of every static load, of the size that is stated where the noise is, else of what stands out of it."""
+    from ..design import compare
+
+    known = noise is not None or model.noise is not None
+    sizes: dict[str, Any] = {"amplitude": size} if known else {"snr": 100.0}
+    words = (
+        "noise as stated" if known else "the best sensor of a unit reads it at 100 times its noise, which is assumed"
+    )
+    return compare({"these sensors": model}, noise=noise, **sizes)["these sensors"], words
 
 
 def check_model(findings: Findings, model: Model) -> None:
@@ -125,6 +200,8 @@ def check_model(findings: Findings, model: Model) -> None:
 
         findings.run("W105", "model", lambda: near_support(structure, model.loads))  # type: ignore[arg-type]
     findings.layout = layout(model)
+    if blind := _blind(model):
+        findings.notes.append(("model", blind))
     if "rank" in findings.layout:
         size = [findings.layout[k] for k in ("m", "n", "rank")]
         findings.run("W201", "model", lambda: flags.null_space(*size))
@@ -146,9 +223,10 @@ def check_pair(findings: Findings, model: Model, record: Record, where: str, res
     findings.run("W205", where, lambda: flags.high_pass(model.sensors, used.duration, used.channels))
     lost = np.isnan(used.values).mean(axis=0).tolist()
     findings.run("W210", where, lambda: flags.gaps(lost, used.labels))
-    h = model.impulse_response(used.dt, len(used))
-    findings.run("W214", where, lambda: contradictions(model, used, h))
-    findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h, model.natural_frequencies))
+    if model.gives("impulse_response"):
+        h = model.impulse_response(used.dt, len(used))
+        findings.run("W214", where, lambda: contradictions(model, used, h))
+        findings.run("W505", where, lambda: flags.memory(model.decay_rate, used.duration, h, model.natural_frequencies))
     if model.natural_frequencies is not None:
         findings.run("W509", where, lambda: flags.aliased(model.natural_frequencies, used.dt))
     if record.simulated_by:
@@ -194,7 +272,40 @@ def layout(model: Model) -> dict[str, Any]:
     last = s[:, rank - 1] if rank else np.zeros(len(s))
     fine = last > 0
     kappa = float(np.median(s[fine, 0] / last[fine])) if np.any(fine) else None
-    return {**facts, "rank": rank, "nullity": facts["n"] - rank, "kappa": kappa}
+    facts |= {"rank": rank, "nullity": facts["n"] - rank, "kappa": kappa}
+    return facts if facts["n"] < 2 else {**facts, **_alike(H, [c.label for c in model.loads])}
+
+
+def _alike(H: Any, labels: list[str]) -> dict[str, Any]:
+    """The two loads that the sensors tell apart least, and loads without a trace; `H` is (lines, sensors, loads).
+
+    Sensors of different units weigh the same: each row is divided by its largest response.
+    """
+    import numpy as np
+
+    top = np.abs(H).max(axis=(0, 2))
+    rows = (H / np.where(top > 0, top, 1.0)[:, None]).reshape(-1, H.shape[2])
+    size = np.linalg.norm(rows, axis=0)
+    seen = size > 1e-12 * size.max()
+    unseen = [label for label, there in zip(labels, seen, strict=True) if not there]
+    rows = rows / np.where(seen, size, 1.0)
+    G = np.abs(np.einsum("li,lj->ij", rows.conj(), rows))
+    np.fill_diagonal(G, -1.0)
+    i, j = (int(k) for k in np.unravel_index(int(np.argmax(G)), G.shape))
+    pair = {"loads": sorted((labels[i], labels[j]), key=labels.index), "cosine": float(min(G[i, j], 1.0))}
+    return {"alike": pair, "unseen": unseen}
+
+
+def _blind(model: Model) -> str:
+    """Why no sensor sees a load that stands still; "" where one does, or may."""
+    from .._guards.measurement import MOTION
+
+    if all(c.quantity in MOTION for c in model.sensors):
+        return "accelerations and velocities see no load that stands still: its mean is found from its start alone"
+    if all(c.quantity in MOTION or c.highpass for c in model.sensors):
+        corner = min(c.highpass for c in model.sensors if c.highpass)
+        return f"no sensor sees a load that stands still: AC-coupled from {corner:.3g} Hz up"
+    return ""
 
 
 def _transfer(model: Model) -> Any:
@@ -224,6 +335,12 @@ def show(findings: Findings) -> str:
             "layout: "
             + ", ".join(f"{w} {number(findings.layout[k])}" for k, w in words.items() if k in findings.layout)
         )
+    if alike := findings.layout.get("alike"):
+        a, b = alike["loads"]
+        lines.append(f"told apart least: {a} and {b}, alike to {alike['cosine']:.4g} (1: the same to these sensors)")
+    if findings.layout.get("unseen"):
+        lines.append(f"without a trace in any sensor: {', '.join(findings.layout['unseen'])}")
+    lines += _expected(findings)
     lines.append(f"fired: {len(findings.flags) or 'none'}")
     lines += [f"  {where}: {flag.command}" for where, flag in findings.flags]
     lines += [f"note: {where}: {note}" for where, note in findings.notes]
@@ -232,11 +349,29 @@ def show(findings: Findings) -> str:
     return "\n".join(lines)
 
 
+def _expected(findings: Findings) -> list[str]:
+    lines = [] if findings.forecast is None else [f"expected: {findings.forecast}"]
+    if findings.static is None:
+        return lines
+    one = findings.static
+    j, unit = one.worst, one.units[one.worst]
+    worst = f", the worst of {len(one.loads)} loads," if len(one.loads) > 1 else ""
+    size = f"{one.amplitude[j]:.3g} {unit}".removesuffix(" arbitrary")
+    found = f"expected: a static load of {size} on {one.loads[j]}{worst} would be found to +-{100 * one.share[j]:.3g} %"
+    return [*lines, f"{found} with these sensors (std; {findings.stated})"]
+
+
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("log", nargs="?", metavar="LOG", help="log to check")
     parser.add_argument("--model", metavar="MODEL.h5", help="model file to check, alone or with the log")
     parser.add_argument(
         "--response", type=channels, metavar="CH,...", help="channels, in the order of the model's sensors"
+    )
+    parser.add_argument("--pulse", type=hit, metavar="S:PEAK",
+                        help="hit whose error is expected, peak in the load's unit; default 0.001:100")  # fmt: skip
+    parser.add_argument(
+        "--noise", type=stds, metavar="STD,...", help="of the sensors in SI: one, or one for each of the model"
     )
     add_log_options(parser, several=True)
 
@@ -244,7 +379,8 @@ def _configure(parser: ArgumentParser) -> None:
 def _run(args: Namespace) -> int:
     if args.log is None and args.model is None:
         raise UsageError("nothing to check: name a log, --model, or both (see loadid check --help)")
-    findings = check(args.log, args.model, responses=args.response, records=args.record, **settings(args))
+    asked = {"responses": args.response, "records": args.record, "pulse": args.pulse, "noise": args.noise}
+    findings = check(args.log, args.model, **asked, **settings(args))
     emit(args, findings.to_dict(), show(findings))
     return 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,6 +35,13 @@ if TYPE_CHECKING:
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
+EXAMPLES = """\
+examples:
+  every family on one record, the last sensor kept out and predicted, with a page:
+    loadid compare log.csv --model model.h5 -o comparison.html
+  three of them, with another sensor kept out:
+    loadid compare log.csv --model model.h5 --families deconvolution,pushing,spikes --validation acc2 --plot loads.png
+"""
 KIND = "comparison"
 OUTPUTS = (".html", ".htm", ".h5")
 LOOKS, FEW = 6, 60  # curves that one chart tells apart; points below which they are dots
@@ -329,6 +336,7 @@ def _rules(model: Model, record: Record, level: Any, labels: list[str], kind: st
 
 # -- the command -------------------------------------------------------------------------------------------------------
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("log", metavar="LOG", help="log with the responses")
     parser.add_argument("--model", required=True, metavar="MODEL.h5", help="model file")
     parser.add_argument("-o", "--output", metavar="PAGE.html|TABLE.h5", help="also write a page, or the numbers")

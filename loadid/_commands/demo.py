@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from .._results.estimate import LoadEstimate
 
 
+EXAMPLES = """\
+examples:
+  a hit, rebuilt; result, picture and report in the folder loadid-demo:
+    loadid demo
+  other noise, elsewhere, with all that is known of the answer:
+    loadid demo --seed 7 --out other --details
+"""
 LENGTH, WIDTH, HEIGHT = 1.0, 0.04, 0.01  # m, steel, simply supported
 DAMPING = 0.06
 SENSORS = {"A1": 0.19, "A2": 0.41, "A3": 0.76}  # m from the left end
@@ -114,6 +121,7 @@ def _channel(label: str) -> Any:
 
 
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("--out", metavar="DIR", default="loadid-demo", help="folder to write to (default: %(default)s)")
     parser.add_argument("--seed", type=_seed, default=0, help="of the noise (default: %(default)s)")
     add_details(parser)

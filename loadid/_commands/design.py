@@ -7,7 +7,7 @@ from typing import Any
 
 from structures.files import _storage as storage
 
-from . import Bar, Command, channels, count, emit, load_model, names, positive, require_outputs
+from . import Bar, Command, channels, count, emit, load_model, positive, require_outputs, stds
 
 CRITERIA = ("D", "worst")
 EXAMPLES = """\
@@ -22,7 +22,7 @@ Loads are static here. Sensors of different units need their noise, in the model
 
 
 def _stds(text: str) -> float | list[float]:
-    found = [positive(part) for part in names(text)] or [positive(text)]
+    found = stds(text)
     return found[0] if len(found) == 1 else found
 
 

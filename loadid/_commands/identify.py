@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,6 +44,19 @@ if TYPE_CHECKING:
     from .._results.location import LocationResult
 
 
+EXAMPLES = """\
+examples:
+  the load of a record, by the family that model and data ask for, with a report and a picture:
+    loadid identify log.csv --model model.h5 -o load.h5 --report load.html --plot load.png
+  channels of other names, a load that only pushes, and the load cell of the log to compare with:
+    loadid identify log.csv --model model.h5 -o load.h5 --response acc1,acc2 --nonnegative --truth hammer
+  a static load from readings, with the noise of the gauges and one gauge kept out:
+    loadid identify gauges.csv --model wing.h5 -o load.h5 --family static --noise 1e-6 --validation root
+  a job file, as it is written beside every result; options override it:
+    loadid identify load.job.toml --choice gcv
+
+FRFs are models: --model takes those of a universal file or a text table.
+"""
 JOB = (
     "family", "method", "penalty", "variance", "choice", "path", "initial", "leak", "dictionary", "nonnegative",
     "signal", "over", "level", "band", "segment", "allow",
@@ -241,6 +254,7 @@ def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -
 
 
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("log", metavar="LOG|JOB.toml", nargs="?", help="log with the responses, or a job that names it")
     parser.add_argument("--job", metavar="JOB.toml", help="job file; options override what it says")
     parser.add_argument("--model", metavar="MODEL.h5", help="model file, from calibrate for example")

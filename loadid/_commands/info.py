@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,17 @@ from .._results.summary import quantity, summary
 from . import Command, add_details, add_log_options, emit, read_records, settings, table
 from .calibrate import describe as describe_hits
 from .calibrate import show as show_hits
+
+EXAMPLES = """\
+examples:
+  channels, units, rate and health of a log; of one record of several:
+    loadid info log.csv
+    loadid info runs.mat --record run3
+  where the file does not tell them:
+    loadid info bare.npy --fs 10000 --columns force,acc --unit force=N --unit acc=g
+  what a result says, and how it was found:
+    loadid info result.h5 --details
+"""
 
 
 def universal(path: str | Path) -> dict[str, Any] | None:
@@ -42,7 +53,9 @@ def universal(path: str | Path) -> dict[str, Any] | None:
     found["axes"] = "; ".join(f"{n} values, {a:.6g} to {b:.6g} {unit}".strip() for n, a, b, unit in sorted(spans)[:8])
     found |= {"notes": "; ".join(file.notes)} if file.notes else {}
     if any(f.head.function == FRF for f in file.functions):
-        found["to_read_it"] = f'structures.files.read_frfs("{path}") gives a model'
+        found["to_read_it"] = (
+            f"--model {path} takes it as a model; loadid model import {path} -o model.h5 keeps it as one"
+        )
     return found
 
 
@@ -217,6 +230,7 @@ def _lines(tree: Any, indent: str) -> list[str]:
 
 
 def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("file", metavar="FILE", help="log, model or result")
     parser.add_argument("--json-full", action="store_true", help="as --json, with the arrays of a result")
     add_details(parser)

@@ -207,9 +207,13 @@ KEYS = {
     "supports": Key(("import",), "DOF,...", "degrees of freedom that are held"),
     "length_unit": Key(("import",), "UNIT", "of the matrices; default m"),
     "force_unit": Key(("import",), "UNIT", "of the matrices; default N"),
+    "frf_kind": Key(("import",), "KIND", "of FRFs whose file does not say it: accelerance, mobility or receptance"),
+    "response_unit": Key(("import",), "UNIT", "of the responses of FRFs, where the file does not state it"),
+    "reference_unit": Key(("import",), "UNIT", "of the references of FRFs, where the file does not state it"),
     "damping": Key(KINDS, "RATIO", "modal damping ratio, one for all modes or one for each"),
     "modes": Key(KINDS, "N", "modes that are kept; default all"),
 }
+FRFS = {"frf_kind": "kind", "response_unit": "response_unit", "reference_unit": "reference_unit"}  # of read_frfs
 LISTS = {"sensors": "sensor", "loads": "load"}
 
 
@@ -222,7 +226,7 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
     settings : dict
         Some of `KEYS`, with ``sensors`` and ``loads``: lists of words.
     files : sequence of path
-        Of an import: matrices, or one universal file of FRFs.
+        Of an import: matrices, or one file of FRFs.
 
     Raises
     ------
@@ -235,14 +239,8 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
         if name in KEYS and kind not in KEYS[name].kinds:
             raise InputError(f"{name} is no setting of a model of kind {kind!r}", where=WHERE,
                              expected=", ".join(k for k, v in KEYS.items() if kind in v.kinds))  # fmt: skip
-    if kind == "import" and len(files) == 1 and Path(files[0]).suffix.lower() in (".uff", ".unv", ".bunv"):
-        from structures.files import read_frfs
-
-        if settings:
-            raise InputError(
-                "FRFs have no such setting", where=WHERE, found=", ".join(settings), expected="the file alone"
-            )
-        return read_frfs(files[0])
+    if kind == "import" and len(files) == 1 and _holds_frfs(files[0], settings):
+        return _frfs(files[0], settings)
 
     from structures import ForwardModel, loads, sensors
 
@@ -255,6 +253,25 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
     driven = [placed(text, LOADS, loads, "load") for text in given["loads"]]
     made: ForwardModel = ForwardModel(structure, heard, driven, modes=_whole(settings.get("modes"), "modes"))
     return made
+
+
+def _holds_frfs(path: str | Path, settings: Mapping[str, Any]) -> bool:
+    """Whether a file is one of FRFs: by its suffix, or, where it may hold matrices, as nothing is placed there."""
+    from structures.files._frf_text import TEXT
+    from structures.files._uff import SUFFIXES
+
+    suffix = Path(path).suffix.lower()
+    return suffix in (*SUFFIXES, *TEXT) or (suffix in (".mat", ".npz") and not any(settings.get(n) for n in LISTS))
+
+
+def _frfs(path: str | Path, settings: Mapping[str, Any]) -> Model:
+    from structures.files import read_frfs
+
+    strange = [name for name in settings if name not in FRFS]
+    if strange:
+        raise InputError("FRFs have no such setting", where=WHERE, found=", ".join(strange),
+                         expected=f"the file, and {', '.join(FRFS)} where it leaves them open")  # fmt: skip
+    return read_frfs(path, **{word: settings[name] for name, word in FRFS.items() if name in settings})
 
 
 def _structure(kind: str, settings: Mapping[str, Any], paths: Sequence[str | Path]) -> Structure:
@@ -343,7 +360,9 @@ def show(data: dict[str, Any], remarks: Sequence[str]) -> str:
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("kind", nargs="?", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument("files", nargs="*", metavar="FILE", help="of an import: K and M, or FRFs (uff, unv)")
+    parser.add_argument(
+        "files", nargs="*", metavar="FILE", help="of an import: K and M, or FRFs (uff, unv, csv, mat, npz)"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="MODEL.h5", help="model file to write")
     parser.add_argument("--from", dest="toml", metavar="MODEL.toml", help="settings by the names of the options; "
                         "sensors and loads are lists")  # fmt: skip

@@ -45,7 +45,7 @@ def _run(args: Namespace) -> int:
     with server, until_told() as stop:
         port = asked.run.http
         with nullcontext() if port is None else closing(Endpoint(server, port)) as endpoint:
-            if not args.json:
+            if not (args.json or args.hushed):
                 where = "" if endpoint is None else f"; {endpoint.address}/metrics and /health"
                 print(f"{len(server.lives)} structures{where}", flush=True)
             if args.check:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NewType
 
 from structures.errors import InputError
@@ -136,6 +137,20 @@ def document(
     )  # fmt: skip
 
 
+def require_page(path: Path, where: str = "") -> None:
+    """Nothing, unless a page is asked for under the name of a PDF.
+
+    Raises
+    ------
+    InputError
+        It is written as HTML.
+    """
+    if path.suffix.lower() == ".pdf":
+        raise InputError("a report is a page of HTML", where=where or str(path), found=path.suffix,
+                         expected=".html or .htm", hint=f"name it {path.with_suffix('.html').name}, open it, and print "
+                         "the page to PDF in the browser: it is laid out for paper")  # fmt: skip
+
+
 def write_page(path: str | os.PathLike[str], made: Callable[[], str]) -> None:
     """Write a page, whole or not at all.
 
@@ -145,6 +160,7 @@ def write_page(path: str | os.PathLike[str], made: Callable[[], str]) -> None:
         If the file cannot be written.
     """
     target = as_path(path)
+    require_page(target)
     if not target.resolve().parent.is_dir():  # said before the pictures are drawn
         raise InputError(
             "the folder does not exist", where=str(target), found=str(target.resolve().parent),

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from structures import units as _units
+from structures._advice import Advice, either
 from structures.files._curves import TIME, Curve, held, read_sdynpy
 from structures.files._frf_text import described, pairs_of, parted
 from structures.files._recorded import StatedUnit
@@ -20,7 +21,10 @@ from .settle import distinct
 from .source import COLUMNS, Source, Table
 
 DEPTH, PARTS = 12, 100_000  # levels and parts of structs
-MODEL = "structures.files.read_frfs reads FRFs as a model"
+MODEL = Advice(
+    "FRFs are a model: ",
+    either("structures.files.read_frfs reads them", "loadid model import FILE -o model.h5, then --model model.h5"),
+)
 
 
 def of_sdynpy(source: Source) -> list[Table]:

@@ -17,6 +17,7 @@ from structures.files._uff import SUFFIXES, StatedUnit, UffFile, parse_uff, unit
 from structures.files._uff_datasets import TIME, Function
 
 from .. import _stamps
+from .curves import MODEL
 from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
@@ -32,7 +33,7 @@ def load(source: Source, options: Options) -> list[Table]:
     functions = [f for f in file.functions if f.head.function == TIME]
     if not functions:
         source.refuse("the file holds no time response", file.holds(), "functions of type 1 (data set 58 or 58b)",
-                      "structures.files.read_frfs reads the FRFs of such a file as a model")  # fmt: skip
+                      MODEL)  # fmt: skip
     others = [
         f for f in file.functions if f.head.function != TIME and f.axis.type == SECONDS and f.name not in OVER_TIME
     ]

@@ -34,6 +34,7 @@ from .._system.sensors import Sensor
 from .._system.structure import Structure
 from ..errors import InputError
 from . import _storage as storage
+from ._frf_text import TEXT
 from ._frfs import read_frfs
 from ._uff import SUFFIXES
 
@@ -146,7 +147,7 @@ def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
 
 
 def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
-    """Read a model of any kind that was saved here, or the FRFs of a universal file that states what they are.
+    """Read a model of any kind that was saved here, or FRFs of a universal file or a text that states what they are.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | Forward
         A file that is missing, damaged, or no model.
     """
     path = storage.as_path(path)
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in (*SUFFIXES, *TEXT):
         return read_frfs(path)
     kind = storage.kind_of(path) if path.is_file() else None
     if kind in KINDS:

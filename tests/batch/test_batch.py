@@ -153,7 +153,9 @@ def test_workers_that_are_killed(undisturbed: Path, tmp_path: Path, monkeypatch:
     assert written(tmp_path / "fleet" / "out") == written(undisturbed / "out")
 
 
-def test_a_run_that_is_killed_goes_on(undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_is_killed_goes_on(
+    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     plan = copy(undisturbed, tmp_path / "fleet")
     command = [sys.executable, "-m", "loadid.cli", "batch", str(plan)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2]) as process:
@@ -167,7 +169,8 @@ def test_a_run_that_is_killed_goes_on(undisturbed: Path, tmp_path: Path, monkeyp
         file.write(b'{"event": "do')  # what a kill leaves of a line
     assert cli.main(["batch", str(plan)]) == 3  # not without --resume
     monkeypatch.setattr(running, "Processes", lambda size, memory: Here())
-    assert cli.main(["batch", str(plan), "--resume"]) == 0
+    assert cli.main(["batch", str(plan), "--resume", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert written(tmp_path / "fleet" / "out") == written(undisturbed / "out")
 

@@ -351,6 +351,8 @@ def test_the_command_says_what_it_found(tmp_path: Path, capsys: pytest.CaptureFi
         pass
     assert command(["serve", str(tmp_path / "plan.toml"), "--idle", "0"]) == 0
     assert "no source: mast: No such file or directory" in capsys.readouterr().out
+    assert command(["serve", str(tmp_path / "plan.toml"), "--idle", "0", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
     (tmp_path / "log.csv").write_bytes(b"time,a0\n1,2\n")
     assert command(["serve", str(tmp_path / "plan.toml"), "--idle", "0.1"]) == 3
     assert "halted: mast" in capsys.readouterr().out
