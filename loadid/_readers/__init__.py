@@ -330,5 +330,7 @@ def asked_for(request: dict[str, Any]) -> tuple[list[dict[str, Any]], list[np.nd
 
 def _unpacked(entry: dict[str, Any], values: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any] | None) -> Table:
     flags = tuple(Flag.from_dict(f) for f in entry["flags"])
-    said = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items() if k not in ("flags", "stamps")}
+    said: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in entry.items() if k not in ("flags", "stamps")
+    }
     return Table(values, flags=flags, stamps=stamps, **said)

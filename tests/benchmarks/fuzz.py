@@ -1,7 +1,7 @@
 """Damage small files of every kind and read them: only an InputError may leave a door, and nothing be lost in silence.
 
-``python -m tests.benchmarks.fuzz [COUNT] [NAME ...]`` prints what comes of COUNT mutants of each kind (or of those whose
-names begin so). Each mutant is a seeded truncation (35 %), an overwriting of a few bytes (40 %) or of a block (15 %), or
+``python -m tests.benchmarks.fuzz [COUNT] [NAME ...]`` prints what comes of COUNT mutants of each kind, or of those whose
+names begin so. Each mutant is a seeded truncation (35 %), an overwriting of a few bytes (40 %) or of a block (15 %), or
 an insertion. Where a file has a hash ("signed"), the mutant gets the right one: damage that somebody made on purpose.
 """
 
@@ -90,7 +90,13 @@ def equal(one: Any, other: Any) -> bool:
 
 def doors(folder: Path) -> list[Door]:
     """Files of every kind that is read and is no log."""
-    return [*frf_doors(folder), *matrix_doors(folder), *own_doors(folder), *settings_doors(folder), *image_doors(folder)]
+    return [
+        *frf_doors(folder),
+        *matrix_doors(folder),
+        *own_doors(folder),
+        *settings_doors(folder),
+        *image_doors(folder),
+    ]
 
 
 def frf_doors(folder: Path) -> list[Door]:
@@ -243,7 +249,9 @@ def main(count: int, names: list[str]) -> None:
     """Print one line per kind of file."""
     from tests.loadid.readers.files import small_files
 
-    print(f"{'kind':18}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'slowest s':>11}")
+    print(
+        f"{'kind':18}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'slowest s':>11}"
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         every = [Door(f"log {s}", p, logs) for s, p in small_files(folder).items()]
@@ -257,10 +265,8 @@ def main(count: int, names: list[str]) -> None:
             for _, outcome, seconds in outcomes(door, count, folder):
                 told[outcome] += 1
                 slowest = max(slowest, seconds)
-            print(
-                f"{door.name:18}{count:9}{told['refused']:9}{told['flagged']:9}{told['same']:7}{told['shorter']:9}"
-                f"{told['other values']:7}{slowest:11.3f}", flush=True
-            )  # fmt: skip
+            counts = [told[k] for k in ("refused", "flagged", "same", "shorter", "other values")]
+            print(f"{door.name:18}" + "".join(f"{n:10}" for n in (count, *counts)) + f"{slowest:10.3f}", flush=True)
 
 
 if __name__ == "__main__":
