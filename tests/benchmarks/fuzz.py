@@ -1,7 +1,7 @@
 """Damage small files of every kind and read them: only an InputError may leave a door, and nothing be lost in silence.
 
 ``python -m tests.benchmarks.fuzz [COUNT] [NAME ...]`` prints what comes of COUNT mutants of each kind, or of those
-whose names begin so. Each mutant is a seeded truncation (35 %), an overwriting of a few bytes (40 %) or of a block (15 %), or
+whose names begin so. Each mutant is a seeded truncation (35 %), an overwriting of bytes (40 %) or of a block (15 %), or
 an insertion. Where a file has a hash ("signed"), the mutant gets the right one: damage that somebody made on purpose.
 """
 
