@@ -16,7 +16,7 @@ from structures._advice import did_you_mean, on_command_line
 from structures.errors import InputError, NotIdentifiable
 
 from . import __version__
-from ._commands import Bar, Command, UsageError
+from ._commands import Bar, Command, UsageError, printable
 
 __all__ = ["commands", "main", "parsers"]
 
@@ -186,7 +186,7 @@ class _Log:
     def __init__(self, level: str, *, as_json: bool, hushed: bool) -> None:
         self.level, self.hushed = level.upper(), hushed
         self.handler = logging.StreamHandler()
-        plain = logging.Formatter("%(name)s %(levelname)s: %(message)s")
+        plain = _Lines("%(name)s %(levelname)s: %(message)s")
         self.handler.setFormatter(_JsonLines() if as_json else plain)
         self.loggers = [logging.getLogger(name) for name in ("structures", "loadid", "tactile")]
 
@@ -204,6 +204,13 @@ class _Log:
             logger.setLevel(level)
 
 
+class _Lines(logging.Formatter):
+    """Text that a terminal only shows."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
 class _JsonLines(logging.Formatter):
     """One JSON value a line: seconds since 1970, level, logger, message."""
 
@@ -212,7 +219,7 @@ class _JsonLines(logging.Formatter):
                 "message": record.getMessage()}  # fmt: skip
         if record.exc_info:
             line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line, ensure_ascii=False)
+        return printable(json.dumps(line, ensure_ascii=False))
 
 
 def _fail(as_json: bool, code: int, fields: dict[str, Any], text: str) -> int:
@@ -220,9 +227,10 @@ def _fail(as_json: bool, code: int, fields: dict[str, Any], text: str) -> int:
         given = {k: v for k, v in fields.items() if v is not None and str(v) != ""}
         known = {k: on_command_line(v) if not isinstance(v, int | float) else v for k, v in given.items()}
         kind = {USAGE: "usage", BAD_INPUT: "bad input", REFUSED: "not identifiable"}.get(code, "interrupted")
-        print(json.dumps({"error": {"kind": kind, "exit": code, **known}}, ensure_ascii=False), file=sys.stderr)
+        said = json.dumps({"error": {"kind": kind, "exit": code, **known}}, ensure_ascii=False)
     else:
-        print(f"loadid: {' '.join(text.split())}", file=sys.stderr)
+        said = f"loadid: {' '.join(text.split())}"
+    print(printable(said), file=sys.stderr)
     return code
 
 

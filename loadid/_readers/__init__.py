@@ -21,44 +21,33 @@ numbers and names the line and the cell that is none. Whatever else a reader rai
 A package of the extra ``io`` is named by its module (``library="nptdms"``) and imported inside the function: where it
 lacks, the registry refuses the file with the line that installs it.
 
-With ``native=True`` it runs in a child process: a damaged file may hang or crash a parser that is a C library. One
-child serves all files; it is started by the first, killed when a file takes too long, and started again. Requests and
-answers are JSON and raw numbers over pipes, so nothing is unpickled on either side.
+With ``native=True`` it runs in a child process (`structures/files/_child.py`): a damaged file may hang or crash a
+parser that is a C library.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import importlib
-import importlib.util
-import json
-import math
 import os
 import pkgutil
 import re
-import signal
-import subprocess
-import sys
-import threading
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
 from structures import units as _units
-from structures._advice import Advice, either, from_plain, to_plain
+from structures._advice import Advice, either
 from structures._flags import Flag
 from structures.errors import InputError
+from structures.files._child import apart
 
 from .._names import find
 from .._record import Record
 from .settle import check_unit_keys, outlined, settled
 from .source import (
-    BUDGET,
     Format,
     NotStated,
     Options,
@@ -195,19 +184,6 @@ def _scan(
     return found, source, options
 
 
-def asked_for(request: dict[str, Any]) -> list[Table]:
-    """Tables of a file that was asked for in the child process (`load_apart`)."""
-    place, shown = Path(request["path"]), Path(request["shown"])
-    try:
-        with place.open("rb") as file:
-            source = Source(shown, os.fstat(file.fileno()).st_size, file.read(4096), place)
-    except OSError as error:
-        raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
-    form = next(f for f in formats() if f.name == request["form"])
-    tables: list[Table] = guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
-    return tables
-
-
 def _open(path: str | os.PathLike[str]) -> Source:
     if not isinstance(path, str | os.PathLike):
         raise InputError(
@@ -312,14 +288,6 @@ def guarded(source: Source, action: Callable[[], T], form: str = "a record") -> 
 
 
 # -- formats that are read in a child process --------------------------------------------------------------------------
-PATIENCE = 4.0  # seconds of processor time that a small file may take; a large one, what the speed of its format allows
-LOADED = 15.0  # times as long it may take on a machine that has other work
-_START = "import sys; sys.path.append(sys.argv[1]); from loadid._readers import asked_for, serve; serve(asked_for)"
-_lock = threading.Lock()
-_process: subprocess.Popen[bytes] | None = None
-_owner = 0
-
-
 def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
     """Tables that the reader of a format finds, read in the child.
 
@@ -328,187 +296,41 @@ def load_apart(form: Format, source: Source, options: Options) -> list[Table]:
     InputError
         What the reader raised; or the library crashed or did not come back in time.
     """
-    request: dict[str, Any] = {
+    request = {
         "form": form.name,
         "library": form.library,
         "path": str(source.path.resolve()),
         "shown": str(source.path),
         "axis": options.axis,
     }
-    with _lock:
-        child = _running()
-        stdin, stdout = _pipes(child)
-        limit = PATIENCE + source.size / form.speed
-        request["seconds"] = limit
-        late = threading.Timer(limit * (LOADED if _CAN_COUNT else 1.0), child.kill)
-        late.start()
-        try:
-            _send(stdin, request)
-            answer = _receive(stdout)
-            tables = [_unpack(entry, stdout) for entry in answer["tables"]] if "tables" in answer else []
-        except (OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError):
-            in_time = late.is_alive() and not _out_of_time(child)
-            stop()
-            source.refuse(
-                f"the {form.name} library {'crashed' if in_time else 'hangs'} on this file",
-                "a damaged file" if in_time else f"no answer in {limit:.0f} s of processor time",
-                "an undamaged file",
-                "transfer or export it again",
-            )
-        finally:
-            late.cancel()
-    if "error" in answer:
-        raise InputError(**{k: from_plain(v) for k, v in answer["error"].items()})
-    return tables
+    entries, arrays = apart(
+        f"{__name__}:asked_for", request, reader=form.name, where=str(source.path), size=source.size, speed=form.speed
+    )
+    left = iter(arrays)
+    return [_unpacked(entry, next(left), next(left) if entry["stamps"] else None) for entry in entries]
 
 
-def stop() -> None:
-    """End the child, if there is one."""
-    global _process
-    child, _process = _process, None
-    if child is None or _owner != os.getpid():
-        return
-    child.kill()
-    child.wait()
-    for pipe in (child.stdin, child.stdout):
-        if pipe:
-            with contextlib.suppress(OSError):
-                pipe.close()
-
-
-def serve(tables: Callable[[dict[str, Any]], list[Table]]) -> None:
-    """The child: answer requests by `tables` until the caller is gone."""
-    _restrict()
-    wanted, out = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a library prints must not get into the answers
-    _send(out, {"ready": True})
-    while True:
-        try:
-            request = _receive(wanted)
-        except EOFError:
-            return
-        if request.get("library"):  # imported before the time of the file runs
-            with contextlib.suppress(Exception):
-                importlib.import_module(request["library"])
-        _allow_seconds(request.get("seconds"))
-        try:
-            packed = [_pack(t) for t in tables(request)]
-        except InputError as error:
-            parts = {k: getattr(error, k) for k in ("what", "where", "found", "expected", "hint", "code")}
-            _send(
-                out,
-                {
-                    "error": {
-                        k: v if v is None else to_plain(v if isinstance(v, str) else str(v)) for k, v in parts.items()
-                    }
-                },
-            )
-            continue
-        _send(out, {"tables": [entry for entry, _ in packed]})
-        for _, data in packed:
-            out.write(data)
-        out.flush()
-
-
-def _running() -> subprocess.Popen[bytes]:
-    global _process, _owner
-    if _process is None or _owner != os.getpid() or _process.poll() is not None:
-        if _owner == os.getpid():
-            stop()
-        root = str(Path(__file__).resolve().parents[2])
-        _process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _START, root],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-        _owner = os.getpid()
-        try:
-            _receive(_pipes(_process)[1])
-        except (OSError, EOFError):
-            stop()
-            raise InputError(
-                "the child process that reads this format does not start", where="readers", found=sys.executable,
-                expected="a Python interpreter that can import loadid",
-            ) from None  # fmt: skip
-    return _process
-
-
-def _pipes(child: subprocess.Popen[bytes]) -> tuple[Any, Any]:
-    return child.stdin, child.stdout
-
-
-_CAN_COUNT = importlib.util.find_spec("resource") is not None  # the system counts and limits processor time
-
-
-def _allow_seconds(seconds: float | None) -> None:
-    """End this process after so much more processor time, however much of it the machine gives."""
-    if _CAN_COUNT and seconds is not None:
-        import resource
-
-        used = time.process_time()
-        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-        with contextlib.suppress(ValueError, OSError):
-            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(used + seconds), hard))
-
-
-def _out_of_time(child: subprocess.Popen[bytes]) -> bool:
-    """Whether a child was ended by the limit on its processor time."""
-    if not _CAN_COUNT:
-        return False
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        child.wait(1.0)
-    return child.returncode == -signal.SIGXCPU
-
-
-def _restrict() -> None:
-    """A cap on memory, no core dumps; where the system has such limits."""
+def asked_for(request: dict[str, Any]) -> tuple[list[dict[str, Any]], list[np.ndarray[Any, Any]]]:
+    """Tables of a file that `load_apart` asks the child for: what is said of them, and their arrays."""
+    place, shown = Path(request["path"]), Path(request["shown"])
     try:
-        import resource
-    except ImportError:
-        return
-    for kind, value in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_AS, 4 * BUDGET)):
-        _, hard = resource.getrlimit(kind)
-        with contextlib.suppress(ValueError, OSError):
-            resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+        with place.open("rb") as file:
+            source = Source(shown, os.fstat(file.fileno()).st_size, file.read(4096), place)
+    except OSError as error:
+        raise InputError("the file cannot be opened", where=str(shown), found=str(error)) from None
+    form = next(f for f in formats() if f.name == request["form"])
+    tables: list[Table] = guarded(source, lambda: form.load(source, Options(axis=request["axis"])), form.name)
+    entries = [
+        {k: v for k, v in vars(t).items() if k != "values"}
+        | {"flags": [f.to_dict() for f in t.flags], "stamps": t.stamps is not None}
+        for t in tables
+    ]
+    return entries, [x for t in tables for x in (t.values, t.stamps) if x is not None]
 
 
-def _pack(table: Table) -> tuple[dict[str, Any], bytes]:
-    arrays = [np.ascontiguousarray(x) for x in (table.values, table.stamps) if x is not None]
-    entry = {k: v for k, v in vars(table).items() if k not in ("values", "stamps", "flags")}
-    entry["flags"] = [f.to_dict() for f in table.flags]
-    entry["arrays"] = [(x.dtype.str, x.shape) for x in arrays]
-    return entry, b"".join(x.tobytes() for x in arrays)
-
-
-def _unpack(entry: dict[str, Any], pipe: BinaryIO) -> Table:
-    values, *stamps = (_array(pipe, np.dtype(kind), tuple(shape)) for kind, shape in entry.pop("arrays"))
-    flags = tuple(Flag.from_dict(f) for f in entry.pop("flags"))
-    entry = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-    return Table(values, flags=flags, stamps=stamps[0] if stamps else None, **entry)
-
-
-def _array(pipe: BinaryIO, kind: np.dtype[Any], shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
-    return np.frombuffer(_exactly(pipe, kind.itemsize * int(np.prod(shape))), kind).reshape(shape)
-
-
-def _send(pipe: BinaryIO, message: dict[str, Any]) -> None:
-    data = json.dumps(message).encode()
-    pipe.write(len(data).to_bytes(8, "little") + data)
-    pipe.flush()
-
-
-def _receive(pipe: BinaryIO) -> dict[str, Any]:
-    message = json.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
-    return dict(message)
-
-
-def _exactly(pipe: BinaryIO, size: int) -> bytes:
-    data = pipe.read(size)
-    if len(data) != size:
-        raise EOFError
-    return data
-
-
-atexit.register(stop)
+def _unpacked(entry: dict[str, Any], values: np.ndarray[Any, Any], stamps: np.ndarray[Any, Any] | None) -> Table:
+    flags = tuple(Flag.from_dict(f) for f in entry["flags"])
+    said: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in entry.items() if k not in ("flags", "stamps")
+    }
+    return Table(values, flags=flags, stamps=stamps, **said)

@@ -254,7 +254,8 @@ def load(source: Source, options: Options) -> list[Table]:
     with h5py.File(source.place or source.path, "r") as file:
         walk = Walk(source, options)
         walk.group(file, "", {}, 0)
-    return walk.tables
+    said = (f"left out, as they are no record: {', '.join(walk.passed[:8])}",) if walk.passed else ()
+    return [replace(table, notes=(*table.notes, *said)) for table in walk.tables]
 
 
 class Walk:
@@ -263,6 +264,7 @@ class Walk:
     def __init__(self, source: Source, options: Options) -> None:
         self.source, self.options = source, options
         self.tables: list[Table] = []
+        self.passed: list[str] = []  # a damaged dataset may look like something else: what is not read is said
         self.unpacked = self.parts = 0
         self.seen: set[Any] = set()
 
@@ -292,8 +294,12 @@ class Walk:
                 self.source.refuse("too many objects", len(self.seen), f"at most {OBJECTS}")
             if isinstance(item, h5py.Group):
                 below.append((item, place))
-            elif isinstance(item, h5py.Dataset) and (values := self.dataset(item, place)) is not None:
+            elif not isinstance(item, h5py.Dataset):
+                self.passed.append(f"{place} (a data type)")
+            elif (values := self.dataset(item, place)) is not None:
                 arrays[name], own[name] = values, self.attributes(item, place)
+            else:
+                self.passed.append(f"{place} ({'x'.join(map(str, item.shape or ())) or 'no'} values of {item.dtype})")
         self.collect(arrays, own, path, about)
         for item, place in below:
             self.group(item, place, about, depth + 1)
@@ -365,6 +371,8 @@ class Walk:
             stored = int(item.id.get_storage_size())
         if stored < declared:
             self.source.refuse(f"truncated: {stored} of {declared} {what}", place, "all that the dataset declares")
+        if stored > declared and what == "bytes" and item.dtype.kind in "fiu":
+            self.source.refuse(f"damaged: {stored} bytes are stored, {declared} declared", place, "as many as declared")
 
     def attributes(self, item: Any, place: str) -> dict[str, Any]:
         """Numbers and texts that stand on an object, of those names that mean something here."""

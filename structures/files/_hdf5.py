@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from . import _storage as storage
+from ._child import NoChildError, apart
 from ._container import BUDGET, Container
 from ._mat_level5 import LEVEL5_BUDGET, is_level5, read_level5
 from ._storage import as_path
@@ -23,23 +23,7 @@ from ._storage import as_path
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 KIND = "structure"
 OBJECTS = 10_000
-PATIENCE = 20.0  # seconds that a small file may take
-SPEED = 1e7  # bytes per second that a large one must at least be read with
 _FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: compiled in; any other would load a library from the disk
-# Reads all that `_get` would read. A damaged file may hang or crash the C library: then it is this child that dies.
-_TRIAL = f"""
-import sys, h5py
-def touch(name, item):
-    dict(item.attrs)
-    if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
-        p = item.id.get_create_plist()
-        filters = [p.get_filter(i)[0] for i in range(p.get_nfilters())]
-        size = (item.size or 0) * item.dtype.itemsize
-        if set(filters) <= set({_FILTERS}) and size <= {BUDGET} and (filters or size <= item.id.get_storage_size()):
-            item[()]
-with h5py.File(sys.argv[1], "r") as file:
-    file.visititems(touch)
-"""
 
 
 def open_hdf5(path: Path) -> Container:
@@ -115,27 +99,30 @@ def _end(head: bytes) -> int | None:
 
 def _tried(path: Path) -> None:
     """Let a child read the file first: it dies or hangs in place of the caller, where the library does."""
-    limit = PATIENCE + path.stat().st_size / SPEED
-    command = [sys.executable, "-I", "-c", _TRIAL, str(path.resolve())]
-    null = subprocess.DEVNULL
-    try:
-        end = subprocess.run(command, stdin=null, stdout=null, stderr=null, timeout=limit, check=False).returncode
-    except subprocess.TimeoutExpired:
-        _gave_up(path, "hangs on", f"no answer in {limit:.0f} s")
-    except OSError:
-        return  # no child can be started here
-    if end < 0:
-        _gave_up(path, "crashes on", f"ended by signal {-end}")
+    request = {"path": str(path.resolve()), "library": "h5py"}
+    with contextlib.suppress(NoChildError):
+        apart(TRIAL, request, reader="HDF5", where=str(path), size=path.stat().st_size)
 
 
-def _gave_up(path: Path, what: str, found: str) -> NoReturn:
-    raise InputError(
-        f"the HDF5 library {what} this file",
-        where=str(path),
-        found=found,
-        expected="an undamaged file",
-        hint="transfer or export it again",
-    )
+TRIAL = f"{__name__}:touched"
+
+
+def touched(request: Mapping[str, Any]) -> tuple[None, list[NDArray[Any]]]:
+    """Read all that `_get` would read; what cannot be read is refused in words by the caller."""
+    import h5py
+
+    def touch(name: str, item: Any) -> None:
+        dict(item.attrs)
+        if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
+            settings = item.id.get_create_plist()
+            filters = [settings.get_filter(i)[0] for i in range(settings.get_nfilters())]
+            size = (item.size or 0) * item.dtype.itemsize
+            if set(filters) <= set(_FILTERS) and size <= BUDGET and (filters or size <= item.id.get_storage_size()):
+                item[()]
+
+    with contextlib.suppress(Exception), h5py.File(request["path"], "r") as file:
+        file.visititems(touch)
+    return None, []
 
 
 def _guarded(path: Path, work: Callable[[Any], Any]) -> Any:

@@ -7,7 +7,6 @@ tool opens. The hash covers the kind and everything after the block; it is check
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import re
 import secrets
@@ -16,18 +15,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import InputError
+from ._child import Arrays, NoChildError, apart
+from ._tree import BLOCK, decode, encode, put_together, taken_apart
 
 MAGIC = "loadid-hdf5"
 VERSION = 1
 HDF5 = (".h5", ".hdf5")  # suffixes of files that `write` writes; a name without any is taken too
-BLOCK = 512  # smallest user block that HDF5 allows
 ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")  # of the net; a drive of Windows has one letter
-_DEPTH = 64
-_FLETCHER32 = 3  # HDF5's number of that filter; the only one that is written or read
-_SCALARS = {bool: "bool", int: "int", float: "float", complex: "complex", str: "str"}
 
 
 def write(path: str | os.PathLike[str], tree: Mapping[str, Any], kind: str) -> None:
@@ -51,7 +46,7 @@ def write(path: str | os.PathLike[str], tree: Mapping[str, Any], kind: str) -> N
     """
     path = as_path(path)
     require_suffix(path, HDF5)
-    body = _encode(tree, str(path))
+    body = encode(tree, str(path))
     replace(path, _block(kind, _digest(kind, body)) + body)
 
 
@@ -63,18 +58,38 @@ def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     InputError
         If the file is missing, is of another kind or version, or differs from what was written by a single bit.
     """
-    found, data = _verified(as_path(path))
+    place = as_path(path)
+    _headed(place)  # what is none of ours is refused before a child is started
+    request = {"path": str(place.absolute()), "shown": str(path), "kind": kind, "library": "h5py"}
+    try:
+        found = apart(f"{__name__}:read_here", request, reader="HDF5", where=str(path), size=place.stat().st_size)
+    except NoChildError:
+        found = read_here(request)
+    tree: dict[str, Any] = put_together(*found)
+    return tree
+
+
+def read_here(request: Mapping[str, Any]) -> tuple[Any, Arrays]:
+    """What `read` asks its child for: the tree of a file, taken apart.
+
+    Raises
+    ------
+    InputError
+        As `read`.
+    """
+    path, kind = request["shown"], request["kind"]
+    found, data = _verified(Path(request["path"]))
     if found != kind:
         article = {"load estimate": "a result", "measured model": "a model"}
         words = article.get(found, found), article.get(kind, kind)
         raise InputError(
             f"another kind of file: this is {words[0]}, not {words[1]}",
-            where=str(path),
+            where=path,
             found=found,
             expected=kind,
             hint=f"give the file of {words[1]}",
         )
-    return _decode(data, str(path))
+    return taken_apart(decode(data, path))
 
 
 def kind_of(path: str | os.PathLike[str]) -> str | None:
@@ -191,9 +206,11 @@ def _bytes(path: Path, size: int = -1) -> bytes:
         ) from error
 
 
-def _verified(path: Path) -> tuple[str, bytes]:
-    """Kind and bytes of a file whose every bit is as written."""
-    damaged = "write it again from its source, or take a copy"
+DAMAGED = "write it again from its source, or take a copy"
+
+
+def _headed(path: Path) -> bytes:
+    """The first line that tells its kind, of a file whose first lines are those of this release."""
     head = _bytes(path, BLOCK)
     lines = head.split(b"\n")
     if lines[0] != MAGIC.encode() or len(lines) < 5:
@@ -202,7 +219,7 @@ def _verified(path: Path) -> tuple[str, bytes]:
             where=str(path),
             found=repr(head[:16]),
             expected=f"a file that begins with {MAGIC!r}",
-            hint="give a model of loadid calibrate or a result of loadid identify; " + damaged,
+            hint="give a model of loadid calibrate or a result of loadid identify; " + DAMAGED,
         )
     if lines[1] != f"format {VERSION}".encode():
         raise InputError(
@@ -210,10 +227,15 @@ def _verified(path: Path) -> tuple[str, bytes]:
             where=str(path),
             found=repr(lines[1].decode("latin-1")),
             expected=f"'format {VERSION}'",
-            hint="a newer release of the package may have written it; otherwise it is damaged: " + damaged,
+            hint="a newer release of the package may have written it; otherwise it is damaged: " + DAMAGED,
         )
+    return lines[2]
+
+
+def _verified(path: Path) -> tuple[str, bytes]:
+    """Kind and bytes of a file whose every bit is as written."""
+    kind = _headed(path).removeprefix(b"kind ").decode("latin-1")
     data = _bytes(path)
-    kind = lines[2].removeprefix(b"kind ").decode("latin-1")
     body = data[BLOCK:]
     try:
         expected = _block(kind, _digest(kind, body))
@@ -224,7 +246,7 @@ def _verified(path: Path) -> tuple[str, bytes]:
             "the file is damaged: its sha256 is not the one written with it",
             where=str(path),
             found=f"{len(data)} bytes",
-            hint=damaged,
+            hint=DAMAGED,
         )
     return kind, data
 
@@ -268,164 +290,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-# -- tree to HDF5 -----------------------------------------------------------------------------------------------------
-def _encode(tree: Mapping[str, Any], where: str) -> bytes:
-    import h5py
-
-    # HDF5 writes into memory: a full disk is then met by plain file calls, which fail cleanly
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", userblock_size=BLOCK, track_order=True) as file:
-        file.attrs["is"] = "dict"
-        _put_all(file, tree, where, 0)
-    return buffer.getvalue()[BLOCK:]
-
-
-def _put_all(group: Any, tree: Mapping[str, Any], where: str, depth: int) -> None:
-    if depth > _DEPTH:
-        raise InputError("nested too deeply", where=where, found=f"more than {_DEPTH} levels")
-    for key, value in tree.items():
-        if not isinstance(key, str):
-            raise InputError("a key is not text", where=where, found=repr(key), expected="text")
-        try:
-            _put(group, _escape(key), value, f"{where}/{key}", depth)
-        except UnicodeError as error:
-            raise InputError("text that is not Unicode", where=f"{where}/{key!r}", found=str(error)) from error
-
-
-def _put(group: Any, name: str, value: Any, where: str, depth: int) -> None:
-    import h5py
-
-    if isinstance(value, np.generic):
-        value = value.item()
-    if value is None:
-        _dataset(group, name, "none", data=h5py.Empty("f8"))
-    elif isinstance(value, np.ndarray):
-        _put_array(group, name, value, where)
-    elif isinstance(value, Mapping):
-        child = group.create_group(name, track_order=True)
-        child.attrs["is"] = "dict"
-        _put_all(child, value, where, depth + 1)
-    elif isinstance(value, list | tuple):
-        _put_list(group, name, list(value), where, depth)
-    elif type(value) in _SCALARS:
-        _dataset(group, name, _SCALARS[type(value)], data=_atom(value, where))
-    else:
-        raise InputError(
-            "a value of this type cannot be stored",
-            where=where,
-            found=type(value).__name__,
-            expected="an array, text, a number, None, a dictionary or a list of these",
-        )
-
-
-def _put_array(group: Any, name: str, value: np.ndarray, where: str) -> None:
-    if value.dtype.kind not in "biufc":
-        raise InputError(
-            "an array of this type cannot be stored", where=where, found=value.dtype, expected="numbers or booleans"
-        )
-    chunked = value.ndim > 0 and value.size > 0  # HDF5 has checksums on chunks only; the sha256 covers the rest
-    _dataset(group, name, "array", data=value, **({"fletcher32": True, "chunks": True} if chunked else {}))
-
-
-def _put_list(group: Any, name: str, value: list[Any], where: str, depth: int) -> None:
-    """A list of numbers or of text of one type is one dataset; any other list is a group of numbered items."""
-    value = [v.item() if isinstance(v, np.generic) else v for v in value]
-    types = {type(v) for v in value}
-    if len(types) == 1 and types <= set(_SCALARS):
-        kind = types.pop()
-        dtype = {bool: "?", int: "i8", float: "f8", complex: "c16"}.get(kind)
-        data = [_atom(v, where) for v in value]
-        if dtype is None:
-            _dataset(group, name, "list of str", data=data)
-        else:
-            _dataset(group, name, f"list of {_SCALARS[kind]}", data=np.array(data, dtype), fletcher32=True, chunks=True)
-        return
-    child = group.create_group(name, track_order=True)
-    child.attrs["is"] = "list"
-    _put_all(child, {str(i): v for i, v in enumerate(value)}, where, depth + 1)
-
-
-def _atom(value: Any, where: str) -> Any:
-    if type(value) is int and not -(2**63) <= value < 2**63:
-        raise InputError("an integer is too large to store", where=where, found=value, expected="64 bits")
-    if type(value) is str and "\0" in value:
-        raise InputError("text with a NUL character cannot be stored", where=where, found=repr(value[:60]))
-    return value
-
-
-def _dataset(group: Any, name: str, kind: str, **settings: Any) -> None:
-    group.create_dataset(name, **settings).attrs["is"] = kind
-
-
-def _escape(key: str) -> str:
-    """A key as an HDF5 link name: no slash, no lone dot, not empty."""
-    if key in ("", ".", "..") or any(c in key for c in "%/\0"):
-        return "%" + key.replace("%", "%25").replace("/", "%2F").replace("\0", "%00")
-    key.encode()  # raises here, with the name of the key, where the text is no Unicode
-    return key
-
-
-def _unescape(name: str) -> str:
-    return name[1:].replace("%00", "\0").replace("%2F", "/").replace("%25", "%") if name.startswith("%") else name
-
-
-# -- HDF5 to tree -----------------------------------------------------------------------------------------------------
-def _decode(data: bytes, where: str) -> dict[str, Any]:
-    """Tree of verified bytes. A hash is no signature: whoever made the file, it may only hold what `write` makes."""
-    import h5py
-
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            tree: dict[str, Any] = _get(
-                file["/"], where, set()
-            )  # the file itself lists its members by name in h5py 3.11
-            return tree
-    except InputError:
-        raise
-    except Exception as error:  # HDF5 raises OSError, KeyError, RuntimeError, ValueError, ... on what it cannot read
-        raise InputError("HDF5 cannot read it", where=where, found=f"{type(error).__name__}: {error}") from error
-
-
-def _get(item: Any, where: str, seen: set[int]) -> Any:
-    import h5py
-
-    address = h5py.h5o.get_info(item.id).addr
-    if address in seen or len(seen) > 10**6:
-        raise InputError("an object is linked twice", where=where, expected="a tree")
-    seen.add(address)
-    kind = item.attrs.get("is")
-    if isinstance(item, h5py.Dataset):
-        return _get_dataset(item, kind, where)
-    if not isinstance(item, h5py.Group) or kind not in ("dict", "list"):
-        raise InputError("not an object that this package writes", where=where, found=f"{item!r}, {kind!r}")
-    children: dict[str, Any] = {}
-    for name in item:
-        if not isinstance(item.get(name, getlink=True), h5py.HardLink):
-            raise InputError("a link that may leave the file", where=f"{where}/{name}", expected="a hard link")
-        children[_unescape(name)] = _get(item[name], f"{where}/{name}", seen)
-    return children if kind == "dict" else list(children.values())
-
-
-def _get_dataset(item: Any, kind: Any, where: str) -> Any:
-    settings = item.id.get_create_plist()
-    filters = [settings.get_filter(i)[0] for i in range(settings.get_nfilters())]
-    if item.external or item.is_virtual or any(f != _FLETCHER32 for f in filters):
-        raise InputError("data that lie elsewhere or are compressed", where=where, expected="plain data")
-    if kind == "none":
-        return None
-    if item.size * item.dtype.itemsize > item.id.get_storage_size():  # before anything of that size is allocated
-        raise InputError(
-            "it claims more data than it holds",
-            where=where,
-            found=f"{item.id.get_storage_size()} bytes",
-            expected=f"{item.size} x {item.dtype.itemsize} bytes",
-        )
-    if kind == "array":
-        return item[...]
-    if kind in ("str", "list of str"):
-        return item.asstr()[()] if kind == "str" else item.asstr()[()].tolist()
-    if kind in {*_SCALARS.values(), *(f"list of {name}" for name in _SCALARS.values())}:
-        return item[()].tolist()
-    raise InputError("not an object that this package writes", where=where, found=repr(kind))

@@ -1,6 +1,8 @@
-"""Damage small files and read them: only an InputError may leave a reader. `python -m tests.benchmarks.fuzz [COUNT]`.
+"""Damage small files of every kind and read them: only an InputError may leave a door, and nothing be lost in silence.
 
-Each mutant is a seeded truncation (35 %), an overwriting of a few bytes (40 %) or of a block (15 %), or an insertion.
+``python -m tests.benchmarks.fuzz [COUNT] [NAME ...]`` prints what comes of COUNT mutants of each kind, or of those
+whose names begin so. Each mutant is a seeded truncation (35 %), an overwriting of bytes (40 %) or of a block (15 %), or
+an insertion. Where a file has a hash ("signed"), the mutant gets the right one: damage that somebody made on purpose.
 """
 
 from __future__ import annotations
@@ -9,8 +11,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,48 +42,232 @@ def mutant(data: bytes, seed: int) -> tuple[str, bytes]:
     return str(kind), data[:at] + new + data[at + size :]
 
 
-def outcomes(path: Path, count: int, folder: Path) -> Iterator[tuple[str, str, float]]:
+@dataclass(frozen=True)
+class Door:
+    """A valid file, and how it is read: `read` gives the arrays that were found, and whether they are flagged."""
+
+    name: str
+    path: Path
+    read: Callable[[Path], tuple[list[Any], bool]]
+    mend: Callable[[bytes], bytes] = bytes
+
+
+def logs(path: Path) -> tuple[list[Any], bool]:
+    """Channels of all records of a log."""
+    found = read_all(path, **STATED)
+    return [column for r in found for column in r.values.T], any("W209" in codes(r.flags) for r in found)
+
+
+def outcomes(path: Path | Door, count: int, folder: Path) -> Iterator[tuple[str, str, float]]:
     """Kind of damage, what came of it and the seconds it took; an exception other than InputError passes through."""
-    data = path.read_bytes()
-    whole = read_all(path, **STATED)
+    door = path if isinstance(path, Door) else Door(path.suffix, path, logs)
+    data = door.path.read_bytes()
+    whole, _ = door.read(door.path)
     for seed in range(count):
         kind, damaged = mutant(data, seed)
-        place = folder / f"mutant{path.suffix}"
-        place.write_bytes(damaged)
+        place = folder / f"mutant{door.path.suffix}"
+        place.write_bytes(door.mend(damaged))
         start = time.perf_counter()
         try:
-            records = read_all(place, **STATED)
+            found, flagged = door.read(place)
         except InputError:
             yield kind, "refused", time.perf_counter() - start
             continue
+        except Exception as error:
+            error.add_note(f"{door.name}, seed {seed}")
+            raise
         seconds = time.perf_counter() - start
-        same = len(records) == len(whole) and all(
-            np.array_equal(a.values, b.values) for a, b in zip(records, whole, strict=True)
-        )
-        fewer = sum(map(len, records)) < sum(map(len, whole))
-        flagged = any("W209" in codes(r.flags) for r in records)
+        same = len(found) == len(whole) and all(map(equal, found, whole))
+        fewer = len(found) < len(whole) or sum(map(np.size, found)) < sum(map(np.size, whole))
         yield kind, "same" if same else "flagged" if flagged else "shorter" if fewer else "other values", seconds
 
 
-def main(count: int) -> None:
-    """Print one line per format."""
+def equal(one: Any, other: Any) -> bool:
+    """Whether two arrays or values are the same, NaN for NaN."""
+    one, other = np.asarray(one), np.asarray(other)
+    return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def doors(folder: Path) -> list[Door]:
+    """Files of every kind that is read and is no log."""
+    return [
+        *frf_doors(folder),
+        *matrix_doors(folder),
+        *own_doors(folder),
+        *settings_doors(folder),
+        *image_doors(folder),
+    ]
+
+
+def frf_doors(folder: Path) -> list[Door]:
+    """FRFs: universal files, archives of SDynPy, structs of Simcenter, text tables."""
+    from structures.files import read_frfs
+    from tests.structures.test_curves import F, H, block, mat, sdynpy
+    from tests.structures.uff_made import binary58, frfs, text58, units
+
+    def read(path: Path) -> tuple[list[Any], bool]:
+        stated = {} if path.suffix == ".unv" else {"response_unit": "g", "reference_unit": "N"}
+        model = read_frfs(path, **stated)
+        return [model.frequencies, *model.H.reshape(len(model.H), -1).T], "W209" in codes(model.flags)
+
+    made = []
+    for name, write in (("uff text", text58), ("uff binary", binary58)):
+        path = folder / f"{name.replace(' ', '_')}.unv"
+        path.write_bytes(units(code=1) + frfs(H[:, :, 0, None], [(1, 3), (2, -1)], [(5, 3)], write))
+        made.append(Door(f"frf {name}", path, read))
+    made.append(Door("frf sdynpy", sdynpy(folder / "f.npz", 4, F, H[:, :, 0].T, [[(1, 3), (5, 3)], [(2, -1), (5, 3)]]),
+                     read))  # fmt: skip
+    struct = block(H[:, 0], "g/N", x="Hz", kind="FRF", name="1:+Z/5:+Z")
+    made.append(Door("frf simcenter", mat(folder / "f.mat", False, FRF=struct), read))
+    rows = "".join(f"{f:.2f},{h.real:.6f},{h.imag:.6f}\n" for f, h in zip(F, H[:, 0, 0], strict=True))
+    (folder / "f.csv").write_text("Frequency [Hz],Real 1+Z/5+Z [g/N],Imag 1+Z/5+Z [g/N]\n" + rows)
+    return [*made, Door("frf text", folder / "f.csv", read)]
+
+
+def matrix_doors(folder: Path) -> list[Door]:
+    """Structures from K and M."""
+    import h5py
+    import scipy.io
+
+    from structures import beams, chains, files
+    from tests.structures.kinds import UNIT
+
+    structure = chains.chain(masses=[1.0, 2.0, 3.0], springs=5.0)
+    files.save(structure, folder / "m.npz")
+    files.save(structure, folder / "own.h5")
+    scipy.io.mmwrite(folder / "m.mtx", structure.K.tocoo())
+    with h5py.File(folder / "m.hdf5", "w") as file:
+        beam = beams.cantilever(elements=1, **UNIT)
+        file["K"], file["M"] = beam.K.toarray(), beam.M.toarray()
+        file["dofs"] = [str(d).encode() for d in beam.dofs]
+
+    def read(path: Path) -> tuple[list[Any], bool]:
+        found = files.load(path)
+        return [A.toarray() for A in (found.K, found.M) if A is not None], False
+
+    paths = [folder / name for name in ("m.npz", "own.h5", "m.mtx", "m.hdf5")]
+    return [Door(f"matrices {p.name}", p, read) for p in paths] + [Door("matrices signed", paths[1], read, signed)]
+
+
+def signed(data: bytes) -> bytes:
+    """A damaged file of ours with the hash that is right for it."""
+    from structures.files import _storage as storage
+
+    lines = data[: storage.BLOCK].split(b"\n")
+    kind = lines[2].removeprefix(b"kind ").decode("latin-1") if len(lines) > 3 else ""
+    if not 0 < len(kind) <= 64 or not kind.isascii():
+        return data
+    body = data[storage.BLOCK :]
+    return storage._block(kind, storage._digest(kind, body)) + body
+
+
+def own_doors(folder: Path) -> list[Door]:
+    """Models and results, damaged as they lie and with the right hash."""
+    import loadid
+    from structures import ForwardModel, beams, damping, loads, sensors
+    from structures.files import _modelfile as modelfile
+    from tests.structures.kinds import UNIT
+
+    beam = beams.cantilever(elements=2, **UNIT).with_damping(damping.Modal(0.02))
+    model = ForwardModel(beam, [sensors.Displacement("2+Z")], [loads.Point("2+Z", label="tip")])
+    model.save(folder / "model.h5")
+    model.state_space(1e-4).save(folder / "space.h5")
+    history = np.hanning(40)[:, None]
+    record = loadid.Record(model.predict(history, 1e-3), 1e-3, model.sensors)
+    loadid.Deconvolution(model, noise=1e-3).estimate(record).save(folder / "result.h5")
+
+    def read_model(path: Path) -> tuple[list[Any], bool]:
+        found = modelfile.load_any(path)
+        return [found.state_space(1e-4).A], False
+
+    def read_result(path: Path) -> tuple[list[Any], bool]:
+        found = loadid.load(path)
+        return [found.load, found.std], False
+
+    cases = [("model", read_model), ("space", read_model), ("result", read_result)]
+    plain = [Door(name, folder / f"{name}.h5", read) for name, read in cases]
+    return plain + [Door(f"{d.name} signed", d.path, d.read, signed) for d in plain]
+
+
+def settings_doors(folder: Path) -> list[Door]:
+    """The TOML files of pads and fleets."""
+    from loadid._batch import plan
+    from tactile._pad import padfile
+    from tests.batch.fleet import fleet
+
+    (folder / "pad.toml").write_text(padfile.EXAMPLE, encoding="utf-8")
+    place = folder / "fleet"
+    place.mkdir()
+    many = fleet(place, assets=1, records=1)
+    (folder / "plan.toml").write_text(many.read_text())
+
+    def read_pad(path: Path) -> tuple[list[Any], bool]:
+        return [repr(padfile.read(path))], False
+
+    def read_plan(path: Path) -> tuple[list[Any], bool]:
+        beside = many.with_name(f"read_{path.name}")
+        beside.write_bytes(path.read_bytes())
+        return [repr(plan.read(beside).assets)], False
+
+    return [Door("pad.toml", folder / "pad.toml", read_pad), Door("plan.toml", folder / "plan.toml", read_plan)]
+
+
+def image_doors(folder: Path) -> list[Door]:
+    """Stacks of images and marker motions."""
+    from PIL import Image
+
+    from tactile.vision import frames, read_motions
+
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (3, 12, 16), dtype=np.uint8)
+    np.save(folder / "stack.npy", images)
+    np.savez_compressed(folder / "stack.npz", images=images)
+    Image.fromarray(images[0]).save(folder / "one.png")
+    motion = np.round(rng.normal(size=(4, 3, 2)), 3)
+    np.save(folder / "motion.npy", motion)
+    lines = ["frame,id,x,y"]
+    lines += [f"{t},{k},{x},{y}" for t, row in enumerate(motion) for k, (x, y) in enumerate(row)]
+    (folder / "motion.csv").write_text("\n".join(lines) + "\n")
+
+    def read_stack(path: Path) -> tuple[list[Any], bool]:
+        if path.suffix == ".png":
+            place = folder / "folder"
+            place.mkdir(exist_ok=True)
+            (place / "frame1.png").write_bytes(path.read_bytes())
+            path = place
+        return [np.array(image) for image in frames(path)], False
+
+    def read_motion(path: Path) -> tuple[list[Any], bool]:
+        found = read_motions(path)
+        return [found.places], "W209" in codes(found.flags)
+
+    stacks = [Door(f"images {n}", folder / n, read_stack) for n in ("stack.npy", "stack.npz", "one.png")]
+    return stacks + [Door(f"markers {n}", folder / n, read_motion) for n in ("motion.npy", "motion.csv")]
+
+
+def main(count: int, names: list[str]) -> None:
+    """Print one line per kind of file."""
     from tests.loadid.readers.files import small_files
 
     print(
-        f"{'format':8}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'slowest s':>11}"
+        f"{'kind':18}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'slowest s':>11}"
     )
     with tempfile.TemporaryDirectory() as name:
-        for suffix, path in small_files(Path(name)).items():
+        folder = Path(name)
+        every = [Door(f"log {s}", p, logs) for s, p in small_files(folder).items()]
+        (folder / "more").mkdir()
+        every += doors(folder / "more")
+        for door in every:
+            if names and not door.name.startswith(tuple(names)):
+                continue
             told: Counter[str] = Counter()
             slowest = 0.0
-            for _, outcome, seconds in outcomes(path, count, Path(name)):
+            for _, outcome, seconds in outcomes(door, count, folder):
                 told[outcome] += 1
                 slowest = max(slowest, seconds)
-            print(
-                f"{suffix:8}{count:9}{told['refused']:9}{told['flagged']:9}{told['same']:7}{told['shorter']:9}"
-                f"{told['other values']:7}{slowest:11.3f}"
-            )
+            counts = [told[k] for k in ("refused", "flagged", "same", "shorter", "other values")]
+            print(f"{door.name:18}" + "".join(f"{n:10}" for n in (count, *counts)) + f"{slowest:10.3f}", flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000, sys.argv[2:])

@@ -1,6 +1,7 @@
 """Words that must not claim too much: shares, overridden refusals, what the data cannot tell, known loads."""
 
 import json
+import logging
 
 import numpy as np
 import pytest
@@ -87,3 +88,22 @@ def test_names_in_a_file_give_a_terminal_no_orders(tmp_path, capsys):
         assert not set(out) & set("\x1b\x9b\u202e")
         if given:
             assert json.loads(out)["records"][0]["channels"][0]["label"] == "a\x1b]0;owned\x9b31m\u202ename"
+
+
+def test_errors_and_logs_give_a_terminal_no_orders(tmp_path, capsys):
+    bad = "a\x1b]0;owned\x9b31m\u202ename"
+    path = tmp_path / "log.csv"
+    path.write_text(f"time [s],{bad} [furlong],{bad}2 [g]\n" + "".join(f"{k / 10},{k},1\n" for k in range(9)), "utf-8")
+    for given in ([], ["--json"]):
+        for words in (["check", str(path)], ["info", f"{bad}.csv"], ["info", f"--{bad}"]):
+            assert cli.main([*words, *given]) in (2, 3)
+            told = capsys.readouterr().err
+            assert "\\u001b" in told
+            assert not set(told) & set("\x1b\x9b\u202e")
+            if given:
+                assert "\x1b" in json.dumps(json.loads(told), ensure_ascii=False).replace("\\u001b", "\x1b")
+    with cli._Log("warning", as_json=False, hushed=False):
+        logging.getLogger("loadid").warning("channel %s", bad)
+    told = capsys.readouterr().err
+    assert "\\u001b" in told
+    assert "\x1b" not in told

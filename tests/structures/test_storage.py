@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import io
+import json
 import os
 import signal
 import subprocess
@@ -18,7 +19,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from structures.errors import InputError
+from structures.files import _child as child
 from structures.files import _storage as storage
+from structures.files import _tree
 
 TREE = {
     "real": np.linspace(0, 1, 7),
@@ -78,8 +81,11 @@ trees = st.dictionaries(
 @settings(max_examples=40, deadline=None)
 @given(trees)
 def test_any_tree_comes_back(tree):
-    data = storage._encode(tree, "")
-    assert same(tree, storage._decode(b"\0" * storage.BLOCK + data, ""))
+    data = _tree.encode(tree, "")
+    found = _tree.decode(b"\0" * storage.BLOCK + data, "")
+    assert same(tree, found)
+    plain, arrays = _tree.taken_apart(found)
+    assert same(tree, _tree.put_together(json.loads(json.dumps(plain)), arrays))
 
 
 def test_any_hdf5_tool_opens_it_and_it_is_deterministic(path):
@@ -211,12 +217,59 @@ def named_type(file):
     file["x"] = np.dtype("f8")
 
 
-@pytest.mark.parametrize("fill", [external, soft, cycle, raw, huge, bomb, virtual, unmarked, named_type])
+def vlen(file):
+    file.create_dataset("x", data=np.array([np.ones(1), np.ones(2)], object), dtype=h5py.vlen_dtype("f8")).attrs[
+        "is"
+    ] = "array"
+
+
+@pytest.mark.parametrize("fill", [external, soft, cycle, raw, huge, bomb, virtual, unmarked, named_type, vlen])
 def test_a_forged_inside_is_refused(tmp_path, monkeypatch, fill):
     monkeypatch.chdir(tmp_path)
     Path("secret.txt").write_text("word")
     with pytest.raises(InputError):
         storage.read(forged(tmp_path / "x.h5", fill), "estimate")
+
+
+def signed(path: Path, body: bytes) -> Path:
+    path.write_bytes(storage._block("estimate", storage._digest("estimate", body)) + body)
+    return path
+
+
+def test_a_forged_file_that_hangs_the_library_leaves_the_caller(tmp_path, monkeypatch):
+    storage.write(tmp_path / "x.h5", {"names": ["a", "b"]}, "estimate")
+    body = bytearray((tmp_path / "x.h5").read_bytes()[storage.BLOCK :])
+    at = body.index(b"GCOL") + 16
+    while int.from_bytes(body[at : at + 2], "little"):
+        at += 16 + (int.from_bytes(body[at + 8 : at + 16], "little") + 7) // 8 * 8
+    body[at + 8 : at + 16] = bytes(8)  # a free block of no size: the library walks on the spot
+    monkeypatch.setattr(child, "PATIENCE", 1.0)
+    with pytest.raises(InputError, match=r"x\.h5: the HDF5 library hangs.*no answer in 1 s"):
+        storage.read(signed(tmp_path / "x.h5", bytes(body)), "estimate")
+    monkeypatch.undo()
+    storage.write(tmp_path / "x.h5", TREE, "estimate")
+    assert same(TREE, storage.read(tmp_path / "x.h5", "estimate"))
+
+
+def test_where_no_child_starts_the_caller_reads_itself(path, monkeypatch):
+    child.stop()
+    monkeypatch.setattr(sys, "executable", "")
+    assert same(TREE, storage.read(path, "estimate"))
+
+
+def test_an_interrupt_does_not_leave_an_answer_for_the_next_file(path, monkeypatch):
+    storage.write(path.with_name("y.h5"), {"y": 1}, "estimate")
+    receive = child._receive
+
+    def interrupted(pipe):
+        monkeypatch.setattr(child, "_receive", receive)
+        raise KeyboardInterrupt
+
+    storage.read(path, "estimate")
+    monkeypatch.setattr(child, "_receive", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        storage.read(path, "estimate")
+    assert storage.read(path.with_name("y.h5"), "estimate") == {"y": 1}
 
 
 # -- interruptions ----------------------------------------------------------------------------------------------------

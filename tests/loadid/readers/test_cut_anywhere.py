@@ -95,3 +95,35 @@ def test_a_bit_in_the_end_of_a_header_of_lvm_loses_no_record(tmp_path):
                 damaged[at] ^= 1 << bit
                 found = answered(path, bytes(damaged))
                 assert found is None or found[1] or [len(r) for r in found[0]] == [8, 8], (at, bit)
+
+
+def test_a_bit_or_a_cut_in_hdf5_loses_no_channel_in_silence(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        group = file.create_group("run")
+        group.attrs["fs"] = 100.0
+        for k, name in enumerate(("F", "a", "b")):
+            group.create_dataset(name, data=VALUES[:, k % 2]).attrs["unit"] = "N"
+    data = path.read_bytes()
+    (whole,), _ = answered(path, data)
+    assert (whole.labels, whole.notes) == (("F", "a", "b"), ())
+    for cut in range(1, len(data), 61):
+        assert answered(path, data[:cut]) is None
+    space = b"\x01\x00\x18\x00"  # of a header: the message that says how many values there are
+    places = [k for k in range(len(data)) if data[k : k + 4] == space]
+    assert len(places) == 3
+    flips = [(k + j, bit) for k in places for j in (0, 2, 8, 9, 16) for bit in range(8)]
+    flips += [(int(k), int(k) % 8) for k in np.random.default_rng(2).choice(len(data), 200, replace=False)]
+    said = 0
+    for at, bit in flips:
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << bit
+        found = answered(path, bytes(damaged))
+        if found is None:
+            continue
+        sizes = sum(r.values.size for r in found[0])
+        noted = any("left out, as they are no record" in n for r in found[0] for n in r.notes)
+        assert sizes >= whole.values.size or noted, (at, bit)
+        said += noted
+    assert said > 3

@@ -2,9 +2,9 @@ import h5py
 import numpy as np
 import pytest
 
-import loadid._readers as readers
 from loadid import read, read_all
 from structures.errors import InputError
+from structures.files import _child as child
 
 from .files import A, F, T, hdf5
 
@@ -157,16 +157,16 @@ def test_a_hang_and_a_crash_of_the_library_are_bad_input(path, monkeypatch):
     while int.from_bytes(heap[at : at + 2], "little"):
         at += 16 + (int.from_bytes(heap[at + 8 : at + 16], "little") + 7) // 8 * 8
     heap[at + 8 : at + 16] = bytes(8)  # a free block of no size: the library walks on the spot
-    monkeypatch.setattr(readers, "PATIENCE", 1.0)
+    monkeypatch.setattr(child, "PATIENCE", 1.0)
     path.write_bytes(heap)
     with pytest.raises(InputError, match=r"log\.h5: the HDF5 library hangs.*no answer in 1 s"):
         read(path)
     path.write_bytes(good)
     assert read(path).labels == ("F", "a")  # the next file finds a new child
-    readers._process.kill()
-    readers._process.wait()
+    child._process.kill()
+    child._process.wait()
     assert read(path).labels == ("F", "a")
-    monkeypatch.setattr(readers, "_send", lambda *_: readers._process.kill())
+    monkeypatch.setattr(child, "_send", lambda *_: child._process.kill())
     with pytest.raises(InputError, match="the HDF5 library crashed"):
         read(path)
 
