@@ -106,7 +106,8 @@ def read(
     Parameters
     ----------
     path : path
-        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
+        A file, or a folder of files that follow one another in time and make one record (`loadid.read_folder`): CSV
+        and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
         Parquet, Arrow and Feather, Excel, MCAP, ROS bags, miniSEED: docs/formats.md says what is read of each.
     record : str or int, optional
         Which record of a file that holds several: its name, or its index from 0.
@@ -133,14 +134,28 @@ def read(
     InputError
         Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
     """
+    if is_folder(path):
+        from .._folders import read_folder
+
+        return read_folder(path, record, fs=fs, columns=columns, axis=axis, units=units).record()
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
     return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
 
 
 def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Record, ...]:
     """All records of a file; arguments and errors as for `read`."""
+    if is_folder(path):
+        return (read(path, **stated),)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+
+
+def is_folder(path: object) -> bool:
+    """Whether a path is that of a folder."""
+    try:
+        return isinstance(path, str | os.PathLike) and bool(os.fspath(path)) and Path(path).expanduser().is_dir()
+    except (OSError, TypeError, ValueError, RuntimeError):
+        return False
 
 
 def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Table, ...]:
@@ -162,6 +177,10 @@ def outline(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Rec
     InputError
         Whatever else is wrong with the file.
     """
+    if is_folder(path):
+        from .._folders import read_folder
+
+        return (read_folder(path, **stated).outline,)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
 
