@@ -45,7 +45,7 @@ _PUBLIC = {
     "q_sweep": "loadid._families.tracking.sweep",
     "read": "loadid._readers",
     "read_all": "loadid._readers",
-    "read_folder": "loadid._folders",
+    "read_folder": "loadid._readers",
     "recommend": "loadid._families.recommend",
     "register_penalty": "loadid._inverse.penalties",
     "register_rule": "loadid._inverse.rules",

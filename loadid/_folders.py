@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,8 +20,7 @@ from structures.errors import InputError
 
 from . import _stamps
 from ._names import find
-from ._readers import RecordOutline, known_suffixes, outline, read
-from ._readers.source import BUDGET
+from ._readers.source import BUDGET, RecordOutline, known_suffixes
 
 if TYPE_CHECKING:
     from ._record import Record
@@ -64,6 +63,8 @@ class Folder(ReadOnly):
         When the first sample was taken, in s since 1970 (UTC).
     reading : mapping
         What was stated of every file, as `loadid.read` takes it.
+    reader : callable
+        Path and `reading` -> Record.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Folder(ReadOnly):
     outline: RecordOutline
     start: float | None
     reading: Mapping[str, Any]
+    reader: Callable[..., Record]
 
     def __repr__(self) -> str:
         begun = "" if self.start is None else f" from {_stamps.iso(self.start)}"
@@ -93,7 +95,7 @@ class Folder(ReadOnly):
     @property
     def _dt(self) -> float:
         if self.outline.dt is None:
-            return read(self.parts[0].path, **self.reading).dt  # refuses in the words of the file
+            return self.reader(self.parts[0].path, **self.reading).dt  # refuses in the words of the file
         return self.outline.dt
 
     def window(self, start: float = 0.0, stop: float | None = None) -> Record:
@@ -163,7 +165,7 @@ class Folder(ReadOnly):
         model: Record | None = None
         values = np.zeros((0, 0))
         for part in parts:
-            found = kept[part.path] = kept.get(part.path) or read(part.path, **self.reading)
+            found = kept[part.path] = kept.get(part.path) or self.reader(part.path, **self.reading)
             if len(found) != part.samples:
                 raise InputError("the file has changed since the folder was looked at", where=str(part.path),
                                  found=f"{len(found)} samples", expected=part.samples)  # fmt: skip
@@ -185,37 +187,18 @@ class Folder(ReadOnly):
         )  # fmt: skip
 
 
-def read_folder(path: str | os.PathLike[str], record: str | int | None = None, **reading: Any) -> Folder:
-    """A folder of files that follow one another, whose samples are read when they are asked for.
-
-    Every file is read once to see what it holds and when it begins. Files are ordered by the time of their first
-    sample; where no file states one, by name, numbers in it counted as such, and taken to follow one another without
-    a gap. Hidden files, files of other formats than most and what is named README or the like are passed over, which
-    ``outline.notes`` say.
-
-    Parameters
-    ----------
-    path : path
-        Of the folder; folders within it are passed over.
-    record : str or int, optional
-        Which record of each file, where it holds several.
-    **reading
-        ``fs``, ``columns``, ``axis`` and ``units`` of every file, as for `loadid.read`.
-
-    Returns
-    -------
-    Folder
-
-    Raises
-    ------
-    InputError
-        No file that is read, one that is damaged, several that begin at the same time, files of which only some state
-        when they begin, other steps, channels or units than the first, naming the file.
-    """
+def folder_of(
+    path: str | os.PathLike[str],
+    record: str | int | None,
+    reading: Mapping[str, Any],
+    read: Callable[..., Record],
+    outline: Callable[..., tuple[RecordOutline, ...]],
+) -> Folder:
+    """A folder whose files `read` and `outline` read; see `loadid.read_folder`."""
     place = Path(path).expanduser()
     files, passed = _listed(place)
     stated = {**reading, "record": record}
-    found = [(file, _outlined(file, record, reading)) for file in files]
+    found = [(file, _outlined(file, record, outline(file, **reading))) for file in files]
     for file, one in found[1:]:
         _refuse_unlike(file, one, files[0], found[0][1])
     starts = [one.start for _, one in found]
@@ -245,7 +228,7 @@ def read_folder(path: str | os.PathLike[str], record: str | int | None = None, *
         first, name=place.resolve().name, samples=max(p.end for p in parts),
         notes=tuple(dict.fromkeys([*notes, *first.notes])),
     )  # fmt: skip
-    return Folder(place, parts, whole, parts[0].start, stated)
+    return Folder(place, parts, whole, parts[0].start, stated, read)
 
 
 def spans(samples: int, piece: int) -> list[tuple[int, int]]:
@@ -288,8 +271,7 @@ def _natural(name: str) -> tuple[tuple[int, int | str], ...]:
     return tuple((0, int(part)) if part.isdecimal() else (1, part.casefold()) for part in cut if part)
 
 
-def _outlined(file: Path, record: str | int | None, reading: Mapping[str, Any]) -> RecordOutline:
-    held = outline(file, **reading)
+def _outlined(file: Path, record: str | int | None, held: tuple[RecordOutline, ...]) -> RecordOutline:
     if record is not None:
         names = [one.name or f"record_{i + 1}" for i, one in enumerate(held)]
         return held[find(record, names, what="record", where=str(file))]

@@ -133,8 +133,14 @@ def of_table(value: Any, dt: float | None, otherwise: Mapping[str, str]) -> dict
     otherwise : mapping
         Unit of each column that states none; arbitrary where it is not among them.
     """
+    from ._readers.source import NotStated
+
     read = of_xarray if home(value) == "xarray" else of_frame
-    return read(value, None, None, dt, otherwise)
+    try:
+        return read(value, None, None, dt, otherwise)
+    except NotStated:  # units are never asked for here
+        raise InputError("the step of a table is not known", where="estimate", found="no time, and no dt",
+                         expected="an index or a column of time, or dt= in s") from None  # fmt: skip
 
 
 def of_frame(

@@ -21,7 +21,6 @@ from structures.errors import InputError, digests, plain, real, reals, shown
 
 from .. import _objects
 from .._quality import WITHOUT_GAPS, beyond_linear, require_finite
-from .._readers.source import NotStated
 from .._record import Record, refuse_copies
 from .._results.estimate import Axis
 
@@ -273,11 +272,7 @@ def health(data: Data) -> tuple[Flag, ...]:
 
 def _of_table(values: Any, dt: float | None, model: Model) -> Record:
     """Record of a DataFrame or a DataArray: columns by name, in the units of the sensors where they state none."""
-    try:
-        return Record(**_objects.of_table(values, dt, {c.label: c.unit for c in model.sensors}))
-    except NotStated:  # units are never asked for here
-        raise InputError("the step of a table is not known", where="estimate", found="no time, and no dt",
-                         expected="an index or a column of time, or dt= in s") from None  # fmt: skip
+    return Record(**_objects.of_table(values, dt, {c.label: c.unit for c in model.sensors}))
 
 
 def _record(values: Any, dt: float | None, model: Model, rows: Array) -> Record:

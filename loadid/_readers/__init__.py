@@ -45,7 +45,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, BinaryIO, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -74,8 +74,11 @@ from .source import (
 
 __all__ = [
     "Format", "NotStated", "Options", "RecordOutline", "Source", "Table", "formats", "outline", "read", "read_all",
-    "register", "scan", "truncated",
+    "read_folder", "register", "scan", "truncated",
 ]  # fmt: skip
+
+if TYPE_CHECKING:
+    from .._folders import Folder
 
 T = TypeVar("T")
 
@@ -135,8 +138,6 @@ def read(
         Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
     """
     if is_folder(path):
-        from .._folders import read_folder
-
         return read_folder(path, record, fs=fs, columns=columns, axis=axis, units=units).record()
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
     return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
@@ -148,6 +149,38 @@ def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Re
         return (read(path, **stated),)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+
+
+def read_folder(path: str | os.PathLike[str], record: str | int | None = None, **stated: Unpack[Stated]) -> Folder:
+    """A folder of files that follow one another, whose samples are read when they are asked for.
+
+    Every file is read once to see what it holds and when it begins. Files are ordered by the time of their first
+    sample; where no file states one, by name, numbers in it counted as such, and taken to follow one another without
+    a gap. Hidden files, files of other formats than most and what is named README or the like are passed over, which
+    ``outline.notes`` say.
+
+    Parameters
+    ----------
+    path : path
+        Of the folder; folders within it are passed over.
+    record : str or int, optional
+        Which record of each file, where it holds several.
+    **stated
+        ``fs``, ``columns``, ``axis`` and ``units`` of every file, as for `loadid.read`.
+
+    Returns
+    -------
+    Folder
+
+    Raises
+    ------
+    InputError
+        No file that is read, one that is damaged, several that begin at the same time, files of which only some state
+        when they begin, other steps, channels or units than the first, naming the file.
+    """
+    from .._folders import folder_of
+
+    return folder_of(path, record, stated, read, outline)
 
 
 def is_folder(path: object) -> bool:
@@ -178,8 +211,6 @@ def outline(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Rec
         Whatever else is wrong with the file.
     """
     if is_folder(path):
-        from .._folders import read_folder
-
         return (read_folder(path, **stated).outline,)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))

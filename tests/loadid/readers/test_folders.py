@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,11 +130,9 @@ def test_windows_and_pieces_are_those_of_the_long_record(folder):
     np.testing.assert_array_equal(np.concatenate([p.values for p in pieces]), Y)
 
 
-def test_pieces_read_every_file_once(folder, monkeypatch):
-    from loadid import _folders
-
-    lazy, seen = read_folder(folder), []
-    monkeypatch.setattr(_folders, "read", lambda path, **stated: seen.append(path.name) or read(path, **stated))
+def test_pieces_read_every_file_once(folder):
+    seen = []
+    lazy = replace(read_folder(folder), reader=lambda path, **stated: seen.append(path.name) or read(path, **stated))
     assert len(list(lazy.pieces(90))) == 13
     assert seen == ["z.csv", "m.csv", "a.csv"]
 
