@@ -45,12 +45,14 @@ _PUBLIC = {
     "q_sweep": "loadid._families.tracking.sweep",
     "read": "loadid._readers",
     "read_all": "loadid._readers",
+    "read_folder": "loadid._readers",
     "recommend": "loadid._families.recommend",
     "register_penalty": "loadid._inverse.penalties",
     "register_rule": "loadid._inverse.rules",
 }
 _ALSO = {
     "Alignment": "loadid._align",
+    "Folder": "loadid._folders",
     "LocationResult": "loadid._results.location",
 }  # to import for a type; nobody makes one by hand
 

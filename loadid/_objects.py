@@ -98,12 +98,17 @@ def opened(values: Any) -> tuple[Any, list[str] | None, str]:
     if kind == "xarray":
         _refuse("xarray.DataArray", "Record.from_xarray(array)")
     if kind in FRAMES and hasattr(values, "columns"):
-        names = [str(c) for c in values.columns]
-        index = np.asarray(values.index) if kind == "pandas" else np.zeros(0)
-        if index.dtype.kind in "mM" or any(n.strip().lower() in ("time", "t", "timestamp") for n in names):
+        if timed(values):
             _refuse(f"{kind}.DataFrame", "Record.from_dataframe(frame)")
-        return values.to_numpy(), names, ""
+        return values.to_numpy(), [str(c) for c in values.columns], ""
     return (values.to_numpy() if kind in FRAMES else values), None, ""
+
+
+def timed(frame: Any) -> bool:
+    """Whether a DataFrame has an index or a column of time."""
+    index = np.asarray(frame.index) if home(frame) == "pandas" else np.zeros(0)
+    names = [str(c).strip().lower() for c in frame.columns]
+    return index.dtype.kind in "mM" or any(n in ("time", "t", "timestamp") for n in names)
 
 
 def _refuse(what: str, call: str) -> None:
@@ -112,8 +117,37 @@ def _refuse(what: str, call: str) -> None:
 
 
 # -- in ----------------------------------------------------------------------------------------------------------------
-def of_frame(frame: Any, fs: float | None, units: Mapping[str | int, Any] | None) -> dict[str, Any]:
-    """Arguments of the record; see `Record.from_dataframe`."""
+def tabled(value: Any) -> bool:
+    """Whether a value is a table with names of its own: a DataFrame of pandas or polars, or a DataArray of xarray."""
+    kind = home(value)
+    return (kind in FRAMES and hasattr(value, "columns")) or (kind == "xarray" and hasattr(value, "dims"))
+
+
+def of_table(value: Any, dt: float | None, otherwise: Mapping[str, str]) -> dict[str, Any]:
+    """Arguments of the record of a table, for one whose step and units may be known from elsewhere.
+
+    Parameters
+    ----------
+    dt : float or None
+        Step in s, where the table has no time of its own.
+    otherwise : mapping
+        Unit of each column that states none; arbitrary where it is not among them.
+    """
+    from ._readers.source import NotStated
+
+    read = of_xarray if home(value) == "xarray" else of_frame
+    try:
+        return read(value, None, None, dt, otherwise)
+    except NotStated:  # units are never asked for here
+        raise InputError("the step of a table is not known", where="estimate", found="no time, and no dt",
+                         expected="an index or a column of time, or dt= in s") from None  # fmt: skip
+
+
+def of_frame(
+    frame: Any, fs: float | None, units: Mapping[str | int, Any] | None, dt: float | None = None,
+    otherwise: Mapping[str, str] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Arguments of the record; see `Record.from_dataframe`, and `of_table` for the last two."""
     from ._readers.source import Options, Source, Table
 
     kind = home(frame)
@@ -143,15 +177,19 @@ def of_frame(frame: Any, fs: float | None, units: Mapping[str | int, Any] | None
     made: dict[str, Any] = {}
     if stamps is not None:
         made = {"stamps": columns.pop(stamps), "clock": stamps, "aware": stamps in zones}
-    return _settled(columns, attrs, source, Options(fs=fs, units=_units.as_mapping(units)), Table, made)
+    attrs = attrs if dt is None else {**attrs, "dt": dt}
+    return _settled(columns, attrs, source, Options(fs=fs, units=_units.as_mapping(units)), Table, made, otherwise)
 
 
 def _naive(series: Any) -> NDArray[Any]:
     return np.asarray(series.dt.tz_convert("UTC").dt.tz_localize(None).to_numpy())
 
 
-def of_xarray(array: Any, fs: float | None, units: Mapping[str | int, Any] | None) -> dict[str, Any]:
-    """Arguments of the record; see `Record.from_xarray`."""
+def of_xarray(
+    array: Any, fs: float | None, units: Mapping[str | int, Any] | None, dt: float | None = None,
+    otherwise: Mapping[str, str] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Arguments of the record; see `Record.from_xarray`, and `of_table` for the last two."""
     from ._readers.source import Options, Source, Table
 
     if home(array) != "xarray" or not hasattr(array, "dims"):
@@ -183,16 +221,17 @@ def of_xarray(array: Any, fs: float | None, units: Mapping[str | int, Any] | Non
         else:
             columns = {"time": time, **columns}
     source = Source(Path("DataArray"), 0, b"")
-    return _settled(columns, attrs, source, Options(fs=fs, units=_units.as_mapping(units)), Table, made)
+    attrs = attrs if dt is None else {**attrs, "dt": dt}
+    return _settled(columns, attrs, source, Options(fs=fs, units=_units.as_mapping(units)), Table, made, otherwise)
 
 
 def _settled(
     columns: Mapping[str, NDArray[Any]], attrs: Mapping[str, Any], source: Any, options: Any, table: Any,
-    made: dict[str, Any],
+    made: dict[str, Any], otherwise: Mapping[str, str] | None,
 ) -> dict[str, Any]:  # fmt: skip
     """Arguments of a record of columns, settled as those of a file; `attrs` may hold units, dt, start and name."""
     from ._readers.csv_table import name_and_unit
-    from ._readers.settle import check_unit_keys, settled
+    from ._readers.settle import TIME_NAMES, check_unit_keys, settled
 
     columns = {n: x / np.timedelta64(1, "s") if x.dtype.kind == "m" else x for n, x in columns.items()}
     passed = [n for n, x in columns.items() if x.dtype.kind not in "fiu"]
@@ -203,15 +242,26 @@ def _settled(
     stated = attrs.get("units")
     pairs = [name_and_unit(n) for n in kept]
     told = [stated.get(n) if isinstance(stated, Mapping) else None for n in kept]
+    names = tuple(n if t else name for n, t, (name, _) in zip(kept, told, pairs, strict=True))
+    said = [t or unit for t, (_, unit) in zip(told, pairs, strict=True)]
+    notes = [f"passed over: {', '.join(passed[:20])} (no numbers)"] if passed else []
+    if otherwise is not None:
+        taken = [f"{n} [{otherwise[n]}]" for n, unit in zip(names, said, strict=True) if not unit and n in otherwise]
+        notes += [f"in the unit of the sensor, as none is stated: {', '.join(taken[:20])}"] if taken else []
+        times = [n.strip().lower() in TIME_NAMES for n in names]
+        said = [
+            u or (None if t else otherwise.get(n, _units.ARBITRARY))
+            for n, u, t in zip(names, said, times, strict=True)
+        ]  # fmt: skip
     dt = attrs.get("dt")
     found = table(
         np.column_stack(list(kept.values())),
         name=str(attrs.get("name") or ""),
-        columns=tuple(n if t else name for n, t, (name, _) in zip(kept, told, pairs, strict=True)),
-        units=tuple(t or unit for t, (_, unit) in zip(told, pairs, strict=True)),
+        columns=names,
+        units=tuple(said),
         dt=float(dt) if isinstance(dt, int | float) and np.isfinite(dt) and dt > 0 else None,
         start=_stamps.utc(attrs["start"]) if attrs.get("start") is not None else None,
-        notes=(f"passed over: {', '.join(passed[:20])} (no numbers)",) if passed else (),
+        notes=tuple(notes),
         **made,
     )
     check_unit_keys([found], source, options)

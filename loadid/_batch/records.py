@@ -7,13 +7,13 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from structures.errors import InputError
 
 from .. import __version__
+from .._folders import spans
 from .plan import Asset, Plan
 
 if TYPE_CHECKING:
@@ -236,17 +236,9 @@ def pieces_of(chunk: Chunk, tree: Mapping[str, Any]) -> tuple[tuple[str, int, in
         return ()
     seed = hashlib.sha256(json.dumps(tree["settled"], sort_keys=True).encode()).hexdigest()
     return tuple(
-        (hashlib.sha256(f"{chunk.key} {seed} {a}:{b}".encode()).hexdigest(), a, b) for a, b in spans(tree)
+        (hashlib.sha256(f"{chunk.key} {seed} {a}:{b}".encode()).hexdigest(), a, b)
+        for a, b in spans(tree["samples"], tree["piece"])
     )  # fmt: skip
-
-
-def spans(tree: Mapping[str, Any]) -> list[tuple[int, int]]:
-    """Ends of the pieces of a long record: a rest that is shorter than half a piece goes with the last one."""
-    samples, piece = tree["samples"], tree["piece"]
-    cuts = [*range(0, samples, piece), samples]
-    if len(cuts) > 2 and cuts[-1] - cuts[-2] < piece // 2:
-        del cuts[-2]
-    return list(pairwise(cuts))
 
 
 # -- one record -------------------------------------------------------------------------------------------------------

@@ -155,7 +155,8 @@ def responses_of(
                 where="--response",
                 found=f"{channel.unit} ({channel.quantity})",
                 expected=f"{sensor.unit} ({sensor.quantity})",
-                hint="name the channels in the order of the model's sensors",
+                hint="name the channels in the order of the model's sensors, or correct the unit where the file has it "
+                "wrong",
             )
     return replace(some, channels=tuple(replace(c, label=s) for c, s in zip(some.channels, labels, strict=True)))
 
@@ -182,7 +183,8 @@ def known_load(record: Record, model: Model, channel: str) -> NDArray[Any]:
             where="--truth",
             found=f"{known.unit} ({known.quantity})",
             expected=f"{loads[0].unit} ({loads[0].quantity})",
-            hint=f"name the channel of the load, or state its unit (--unit {known.label}={loads[0].unit})",
+            hint=f"the channel is recorded as {known.quantity}: name the channel of the load, or correct the unit "
+            "where the file has it wrong",
         )
     values = record.values[:, column]
     if not np.all(np.isfinite(values)) or not np.any(values):

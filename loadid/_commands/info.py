@@ -88,7 +88,7 @@ def info(
     InputError
         If the file is no such file, damaged, or not usable.
     """
-    kind = storage.kind_of(path)
+    kind = None if Path(path).is_dir() else storage.kind_of(path)
     if kind is None and (held := universal(path)):
         return {"kind": "universal file", "file": str(path), "content": held}
     if kind is None:

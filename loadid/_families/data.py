@@ -17,8 +17,9 @@ from structures._channels import Channel
 from structures._flags import Flag
 from structures._model import Model
 from structures._models.statespace import STABLE
-from structures.errors import InputError, digests, real, reals, shown
+from structures.errors import InputError, digests, plain, real, reals, shown
 
+from .. import _objects
 from .._quality import WITHOUT_GAPS, beyond_linear, require_finite
 from .._record import Record, refuse_copies
 from .._results.estimate import Axis
@@ -139,6 +140,8 @@ def gather(
     """
     require_stable(model)
     rows = rows_of(sensors, model)
+    if _objects.tabled(record):
+        record = _of_table(record, dt, model)
     if not isinstance(record, Record):
         record = _record(record, dt, model, rows)
     elif dt is not None and not (real(dt) and abs(dt / record.dt - 1) < 1e-9):
@@ -267,6 +270,11 @@ def health(data: Data) -> tuple[Flag, ...]:
     return (*data.record.flags, *found)
 
 
+def _of_table(values: Any, dt: float | None, model: Model) -> Record:
+    """Record of a DataFrame or a DataArray: columns by name, in the units of the sensors where they state none."""
+    return Record(**_objects.of_table(values, dt, {c.label: c.unit for c in model.sensors}))
+
+
 def _record(values: Any, dt: float | None, model: Model, rows: Array) -> Record:
     if dt is None:
         raise InputError("the step of a bare array is not known", where="estimate", found="no dt", expected="dt= in s")
@@ -292,6 +300,7 @@ def numbers(values: Any, what: str) -> NDArray[np.float64]:
     InputError
         With `what`.
     """
+    values = plain(values)
     try:
         texts = np.asarray(values).dtype.kind in "US"
     except (TypeError, ValueError):  # rows of different lengths: `reals` says so
@@ -392,6 +401,8 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
     """
     if isinstance(found, Readings):
         return found
+    if _objects.tabled(found):
+        found = _frames(found, model)
     if isinstance(found, Record):
         data = gather(found, None, model, sensors, timed=False)
         over = Axis("time", "s", np.asarray(np.arange(len(data.values)) * data.dt, float))
@@ -416,6 +427,18 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
     table = np.atleast_2d(table)
     strange = tuple(f for c, x in zip(channels, table.T, strict=True) for f in beyond_linear(c, float(np.abs(x).max())))
     return Readings(table, rows, channels, axis, "readings", _digest(table, channels), strange)
+
+
+def _frames(found: Any, model: Model) -> Any:
+    """A table of readings: its columns by name, or the record that it is where it has a time."""
+    if _objects.home(found) == "xarray" or _objects.timed(found):
+        return _of_table(found, None, model)
+    known = {c.label for c in model.sensors}
+    return (
+        {str(n): found[n].to_numpy() for n in found.columns}
+        if known & {str(n) for n in found.columns}
+        else (found.to_numpy())
+    )
 
 
 def _mapping(found: Mapping[str, Any], channels: Sequence[Channel]) -> NDArray[np.float64]:

@@ -34,7 +34,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -63,8 +63,11 @@ from .source import (
 
 __all__ = [
     "Format", "NotStated", "Options", "RecordOutline", "Source", "Table", "formats", "outline", "read", "read_all",
-    "register", "scan", "truncated",
+    "read_folder", "register", "scan", "truncated",
 ]  # fmt: skip
+
+if TYPE_CHECKING:
+    from .._folders import Folder
 
 T = TypeVar("T")
 
@@ -95,7 +98,8 @@ def read(
     Parameters
     ----------
     path : path
-        CSV and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
+        A file, or a folder of files that follow one another in time and make one record (`loadid.read_folder`): CSV
+        and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
         Parquet, Arrow and Feather, Excel, MCAP, ROS bags, miniSEED: docs/formats.md says what is read of each.
     record : str or int, optional
         Which record of a file that holds several: its name, or its index from 0.
@@ -122,14 +126,58 @@ def read(
     InputError
         Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
     """
+    if is_folder(path):
+        return read_folder(path, record, fs=fs, columns=columns, axis=axis, units=units).record()
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
     return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
 
 
 def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Record, ...]:
     """All records of a file; arguments and errors as for `read`."""
+    if is_folder(path):
+        return (read(path, **stated),)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(_settle(table, source, options, found) for table in found))
+
+
+def read_folder(path: str | os.PathLike[str], record: str | int | None = None, **stated: Unpack[Stated]) -> Folder:
+    """A folder of files that follow one another, whose samples are read when they are asked for.
+
+    Every file is read once to see what it holds and when it begins. Files are ordered by the time of their first
+    sample; where no file states one, by name, numbers in it counted as such, and taken to follow one another without
+    a gap. Hidden files, files of other formats than most and what is named README or the like are passed over, which
+    ``outline.notes`` say.
+
+    Parameters
+    ----------
+    path : path
+        Of the folder; folders within it are passed over.
+    record : str or int, optional
+        Which record of each file, where it holds several.
+    **stated
+        ``fs``, ``columns``, ``axis`` and ``units`` of every file, as for `loadid.read`.
+
+    Returns
+    -------
+    Folder
+
+    Raises
+    ------
+    InputError
+        No file that is read, one that is damaged, several that begin at the same time, files of which only some state
+        when they begin, other steps, channels or units than the first, naming the file.
+    """
+    from .._folders import folder_of
+
+    return folder_of(path, record, stated, read, outline)
+
+
+def is_folder(path: object) -> bool:
+    """Whether a path is that of a folder."""
+    try:
+        return isinstance(path, str | os.PathLike) and bool(os.fspath(path)) and Path(path).expanduser().is_dir()
+    except (OSError, TypeError, ValueError, RuntimeError):
+        return False
 
 
 def scan(path: str | os.PathLike[str], *, axis: int | None = None) -> tuple[Table, ...]:
@@ -151,6 +199,8 @@ def outline(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Rec
     InputError
         Whatever else is wrong with the file.
     """
+    if is_folder(path):
+        return (read_folder(path, **stated).outline,)
     found, source, options = _scan(path, **stated)
     return guarded(source, lambda: tuple(outlined(table, source, options) for table in found))
 

@@ -100,10 +100,12 @@ def _table(table: Any, declared: int, source: Source) -> Table:
         columns.append(times[i][0] if i in times else _numbers(table.column(i)))
     passed = [f"{f.name} ({f.type})" for i, f in enumerate(table.schema) if i not in kept]
     notes = [f"passed over: {', '.join(passed[:20])}"] if passed else []
-    if stamps and types.is_timestamp(table.schema.field(stamps[0]).type) and not table.schema.field(stamps[0]).type.tz:
-        notes.append(f"the stamps in {table.schema.field(stamps[0]).name} name no time zone and are taken as UTC")
+    dated = _dated(table, stamps[0]) if stamps else {}
     dt, title = _step(texts, source), texts.get("name")
     clock = kept.index(stamps[0]) if stamps else next((i for i, n in enumerate(names) if n.lower() in TIME_NAMES), None)
+    if dated and clock is not None:  # dates are settled where a zone can be stated for them
+        del names[clock], units[clock], columns[clock]
+        clock = None
     if clock is not None and dt is not None and _even(columns[clock], dt):  # the step as it was written is exact
         del names[clock], units[clock], columns[clock]
         clock = None
@@ -119,7 +121,19 @@ def _table(table: Any, declared: int, source: Source) -> Table:
         time=clock,
         notes=tuple(notes),
         start=times[stamps[0]][1] if stamps else None,
+        **dated,
     )
+
+
+def _dated(table: Any, column: int) -> dict[str, Any]:
+    """Stamps with a date, the name of their column, and whether they are in UTC; nothing for times of day."""
+    import pyarrow.types as types
+
+    field = table.schema.field(column)
+    if not (types.is_timestamp(field.type) or types.is_date(field.type)):
+        return {}
+    stamps = table.column(column).cast("timestamp[ns]", safe=False).to_numpy().astype("datetime64[ns]")
+    return {"stamps": stamps, "clock": field.name or "time", "aware": bool(getattr(field.type, "tz", None))}
 
 
 def _even(time: NDArray[np.float64], dt: float) -> bool:

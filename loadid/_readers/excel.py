@@ -97,8 +97,28 @@ def _sheet(sheet: Any, source: Source, options: Options) -> list[Table]:
         return [table]
     time = next(iter(dates))
     units = tuple("s" if i in dates else u for i, u in enumerate(table.units or (None,) * width))
-    notes = [] if starts[time] is None else ["the dates of a workbook name no time zone and are taken as UTC"]
-    return [replace(table, units=units, time=time, start=starts[time], notes=(*table.notes, *notes))]
+    begin = starts[time]
+    if begin is None:
+        return [replace(table, units=units, time=time)]
+    return [_stamped(replace(table, units=units), time, begin)]
+
+
+def _stamped(table: Table, time: int, begin: float) -> Table:
+    """The table with a column of dates, in s after `begin`, as stamps, which are settled where a zone can be stated."""
+    keep = [i for i in range(table.values.shape[1]) if i != time]
+    away = table.values[:, time]
+    moments = np.rint(np.where(np.isnan(away), 0.0, away) * 1e6).astype("timedelta64[us]")
+    first = np.datetime64(round(begin * 1e6), "us")
+    names, units = table.columns, table.units or ()
+    return replace(
+        table,
+        values=table.values[:, keep],
+        columns=None if names is None else tuple(names[i] for i in keep),
+        units=tuple(units[i] for i in keep),
+        start=begin,
+        stamps=np.where(np.isnan(away), np.datetime64("NaT", "us"), first + moments),
+        clock="time" if names is None else names[time] or "time",
+    )
 
 
 def _rows(sheet: Any, source: Source) -> Iterator[list[Any]]:

@@ -114,6 +114,7 @@ def outlined(table: Table, source: Source, options: Options) -> RecordOutline:
         tuple(u.symbol if isinstance(u, _units.Unit) else u for u in units),
         dt,
         (*table.notes, *notes),
+        table.start,
     )
 
 

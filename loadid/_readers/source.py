@@ -106,6 +106,8 @@ class RecordOutline:
     dt : float or None
         Step in s.
     notes : tuple of str
+    start : float or None
+        When the first sample was taken, in s since 1970 (UTC).
     """
 
     name: str
@@ -114,6 +116,7 @@ class RecordOutline:
     units: tuple[str | None, ...]
     dt: float | None
     notes: tuple[str, ...] = ()
+    start: float | None = None
 
 
 @dataclass(frozen=True)
