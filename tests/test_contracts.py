@@ -7,6 +7,7 @@ import pytest
 
 import loadid
 from loadid import (
+    AutomaticInversion,
     Deconvolution,
     FieldDeconvolution,
     FrequencyInversion,
@@ -328,6 +329,7 @@ MODELS = {kind.__name__: kind for kind in (OwnStatic, OwnFrf, OwnImpulse, OwnSta
 IN_TIME = {"OwnImpulse", "OwnStates"}
 # family -> how it is made, the kinds that it can use
 USERS = {
+    "AutomaticInversion": (lambda m: AutomaticInversion(m), {"OwnStatic", "OwnFrf", *IN_TIME}),
     "Deconvolution": (lambda m: Deconvolution(m), IN_TIME),
     "FieldDeconvolution": (lambda m: FieldDeconvolution(m), IN_TIME),
     "FrequencyInversion": (lambda m: FrequencyInversion(m, signal="transient"), {"OwnFrf", *IN_TIME}),
@@ -404,7 +406,7 @@ def test_a_model_that_a_family_cannot_use_is_refused_by_name(family, kind):
 
 def test_what_is_no_model_is_refused_by_every_family():
     for family, (make, _) in USERS.items():
-        if family != "StaticInversion":  # that takes a bare matrix
+        if family not in ("StaticInversion", "AutomaticInversion"):  # those take a bare matrix
             with pytest.raises(InputError, match=f"{family}: no forward model"):
                 make(np.eye(3))
 
