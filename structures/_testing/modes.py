@@ -35,7 +35,7 @@ VAGUE = 0.2  # relative std of a damping ratio
 SURE, BROAD = 0.05, 0.1  # relative std of its decay, and damping ratio, up to which an added pole is a mode
 NARROW = 4.0  # lines within the half-power bandwidth, below which a Hann window makes damping too large
 LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
-MISSED = 0.1  # of the rms of the FRFs that the model may miss, beyond their noise
+MISSED = 0.05  # of the rms of the FRFs that the model may miss, beyond their noise
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
 

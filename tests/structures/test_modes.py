@@ -182,7 +182,8 @@ def test_a_force_that_was_not_driven_needs_a_driven_point(found):
         assert off < 0.1
     data = table(count=1)
     other = FrfModel(LINES[:561], data.H[:561], sensors=[Channel(label=f"a{i}", quantity="acceleration", unit="m/s^2")
-                                             for i in range(5)], loads=data.loads, variance=np.asarray(data.variance)[:561])  # fmt: skip
+                                             for i in range(5)], loads=data.loads,
+                     variance=np.asarray(data.variance)[:561])  # fmt: skip
     shapes = identify_modes(other, order=40)
     assert not shapes.scaled
     assert np.all(np.isnan(shapes.modal_mass))
@@ -310,11 +311,10 @@ def test_a_tracker_on_the_modes_is_near_one_on_the_structure(shaken):
     load, seen, sigma = swept(truth)
     off = []
     for model in (truth, found.model()):
-        e = LoadTracker(model, noise=Noise(sigma)).fit(seen, DT).run(seen)
+        e = LoadTracker(model, noise=Noise(sigma)).fit(seen, DT).track(seen)
         off.append(np.linalg.norm(e.load[:, 0] - load) / np.linalg.norm(load))
-    print(off)
-    assert off[1] < 0.2
-    assert off[1] < 1.5 * off[0]
+    assert off[1] < 0.1
+    assert off[1] < 1.2 * off[0]  # .059 against .061
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

@@ -520,7 +520,7 @@ add("model/measured", lambda: p.hammered.__wrapped__()[0], lambda m: bits((m.imp
 add("model/other unknowns", lambda: mapped(p.chain.__wrapped__(p.TWO), np.array([[1.0], [0.5]])),
     partial(model_says, history=False))  # fmt: skip
 add("modes", tested)
-add("model/modal", lambda: tested().model(), model_says)
+add("model/modal", lambda: tested().model(), partial(model_says, still=False))
 add("model/perturbed", lambda: bent().perturbed("stiffness", 1.1), model_says)
 add("structure", sheet, lambda s: bits((s.K_free, s.M_free, s.dofs, s.digest)))
 add("structure/riser", lambda: beams.riser(length=100.0, EI=1e6, mass_per_length=100.0, top_tension=2e5, elements=8),
