@@ -31,6 +31,8 @@ LAGS = 4  # lines over which errors of an estimated FRF are correlated, at most
 BELOW, BELOW_DAMPING = 0.1, 0.5  # the mode that stands for those below the band: share of its start, damping ratio
 ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
 ABOVE_DAMPING = 0.02
+APART = (-4.0, 3.0)  # log of how far above the end they may lie, over the end
+SEARCH = 40  # places that are tried for them
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +225,30 @@ def completed(band: FrfBand, poles: Complex, participation: Complex) -> tuple[fl
     return min(candidates(band), key=worth)
 
 
+def placed(band: FrfBand, fit: ModalFit) -> ModalFit:
+    """A fit whose modes above the band stand where its own modes leave least, by a search over their frequencies.
+
+    Where they stand in the wrong place, what they miss goes into the residues, most of all of the load that drives
+    them most.
+    """
+    from scipy.optimize import minimize
+
+    low, top = [w for w in fit.rest if w < band.f[0]], float(band.f[-1])
+    start = np.log([w / top - 1 for w in fit.rest if w > top])
+
+    def frequencies(x: Real) -> tuple[float, ...]:
+        return (*low, *(top * (1 + np.exp(np.clip(x, *APART)))).tolist())
+
+    def left(x: Real) -> float:
+        cost = _Problem(band, frequencies(x)).solved(fit.poles, fit.participation)[0]
+        return float(np.log(max(cost, np.finfo(float).tiny)))
+
+    simplex = np.vstack([start, start + 0.5 * np.eye(len(start))])
+    limits = {"maxfev": SEARCH, "xatol": 0.02, "fatol": 1e-4, "initial_simplex": simplex}
+    best = minimize(left, start, method="Nelder-Mead", options=limits).x
+    return fitted(band, fit.poles, fit.participation, frequencies(best), fit.stayed, QUICK)
+
+
 def turned(v: Complex) -> Complex:
     """Participations with their largest entry 1."""
     top = v[np.arange(len(v)), np.argmax(np.abs(v), axis=1)] if len(v) else np.ones(0)
@@ -390,6 +416,7 @@ def selected(
             return replace(fit, stayed=np.zeros(1, bool)), before
         kept = np.arange(len(losses)) != np.argmin(np.where(bad, losses, np.inf))
         fit = fitted(band, fit.poles[kept], fit.participation[kept], fit.rest, fit.stayed[kept], QUICK)
+    fit = placed(band, fit)
     fit = fitted(band, fit.poles, fit.participation, fit.rest, fit.stayed)
     return fit, before - int(np.sum(fit.stayed))
 

@@ -35,6 +35,7 @@ VAGUE = 0.2  # relative std of a damping ratio
 SURE, BROAD = 0.05, 0.1  # relative std of its decay, and damping ratio, up to which an added pole is a mode
 NARROW = 4.0  # lines within the half-power bandwidth, below which a Hann window makes damping too large
 LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
+MISSED = 0.05  # of the rms of the FRFs that the model may miss, beyond their noise
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
 
@@ -416,7 +417,7 @@ def _result(
         upper=np.einsum("i,isl->sl", 1 / w[~far] ** 2, rest[~far]), band=(float(band.f[0]), float(band.f[-1])),
         misfit=fit.misfit, dropped=dropped, stabilisation=found, frf=table, flags=(), _model=model,
     )  # fmt: skip
-    flags = collect([*table.flags, _complex(result, real), _poor(result, band)])
+    flags = collect([*table.flags, _complex(result, real), _poor(result, band), _missed(table, model)])
     return replace(result, flags=flags, _model=model.with_flags(flags))
 
 
@@ -515,3 +516,23 @@ def _poor(found: MeasuredModes, band: FrfBand) -> Flag | None:
         return None
     said = [f"{', '.join(f'{x:.5g}' for x in f[mask][:8])} Hz: {why}" for why, mask in reasons if mask.any()]
     return Flag("W218", Evidence("modes that the test tells poorly", float(bad.sum()), 0.0), "; ".join(said))
+
+
+def _missed(table: FrfModel, model: ModalModel) -> Flag | None:
+    """W219 where the model does not answer as the structure was measured to, whatever the std of its modes."""
+    off = np.abs(model.frf(table.frequencies) - table.H) ** 2
+    noise = np.zeros(off.shape) if table.variance is None else np.asarray(table.variance)
+    power = np.mean(np.abs(table.H) ** 2, axis=0)
+    power = np.where(power > 0, power, 1.0)
+    each = np.sqrt(np.maximum(np.mean(off - noise, axis=0), 0) / power)
+    all_of_it = float(np.sqrt(np.mean(each**2)))
+    if all_of_it <= MISSED:
+        return None
+    i, j = np.unravel_index(int(np.argmax(each)), each.shape)
+    line = int(np.argmax(np.sum(off / power, axis=(1, 2))))
+    return Flag(
+        "W219",
+        Evidence("rms of the measured FRFs that the model misses beyond their noise", all_of_it, MISSED),
+        f"the modes miss the measured FRFs by {all_of_it:.0%}, {table.sensors[i].label} over {table.loads[j].label} by "
+        f"{each[i, j]:.0%}, most at {table.frequencies[line]:.5g} Hz",
+    )

@@ -74,7 +74,7 @@ class Stabilisation:
         for k in range(int(self.track.max(initial=-1)) + 1):
             own = np.flatnonzero(self.track == k)
             own = own[len(own) // 3 :]  # low orders are biased by what they have no poles for
-            middle = complex(np.median(self.poles[own].real), np.median(self.poles[own].imag))
+            middle = _middle(self.poles[own])
             found.append((middle, self.participation[own[int(np.argmin(np.abs(self.poles[own] - middle)))]]))
         found.sort(key=lambda one: abs(one[0]))
         width = self.participation.shape[1]
@@ -235,16 +235,23 @@ def _tracks(
 def _merged(tracks: list[list[int]], orders: NDArray[np.int64], poles: Complex) -> list[list[int]]:
     """Tracks, those that lie together and take turns joined."""
     out: list[list[int]] = []
+    middles: list[complex] = []
     for t in sorted(tracks, key=len, reverse=True):
-        p = np.median(poles[t].real) + 1j * np.median(poles[t].imag)
-        for other in out:
-            q = np.median(poles[other].real) + 1j * np.median(poles[other].imag)
-            shared = len(set(orders[t]) & set(orders[other]))
-            if abs(p - q) < SAME * (abs(p.real) + abs(q.real)) and shared < 0.5 * len(t):
-                had = set(orders[other].tolist())
-                other.extend(k for k in t if int(orders[k]) not in had)
-                other.sort(key=lambda k: int(orders[k]))
+        p = _middle(poles[t])
+        for k, (other, q) in enumerate(zip(out, middles, strict=True)):
+            if abs(p - q) >= SAME * (abs(p.real) + abs(q.real)):
+                continue
+            had = set(orders[other].tolist())
+            if len(had.intersection(orders[t].tolist())) < 0.5 * len(t):
+                other.extend(one for one in t if int(orders[one]) not in had)
+                other.sort(key=lambda one: int(orders[one]))
+                middles[k] = _middle(poles[other])
                 break
         else:
             out.append(list(t))
+            middles.append(p)
     return out
+
+
+def _middle(poles: Complex) -> complex:
+    return complex(np.median(poles.real), np.median(poles.imag))

@@ -33,4 +33,5 @@ CASES = [
     Case("W217", lambda: two(turn=0.6), two, r"phase collinearity 0\.\d+ at 30.*that real shapes leave = 0\.\d"),
     Case("W218", lambda: two(second=30.3), two, r"30.*on top of another.*tells poorly = 2", "close"),
     Case("W218", lambda: two(second=99.0), two, r"99.* Hz: at the end of the band", "edge"),
+    Case("W219", lambda: two(turn=1.2), two, r"miss the measured FRFs by \d+%.*beyond their noise = 0\.\d"),
 ]

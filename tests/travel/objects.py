@@ -55,12 +55,15 @@ from loadid.priors import OU, Matern32, Matern52, Periodic, RandomWalk, Sum, Whi
 from structures import (
     Dof,
     ForwardModel,
+    FrfModel,
+    MeasuredModes,
     TrainingRecords,
     bases,
     beams,
     cross_spectra,
     damping,
     frames,
+    identify_modes,
     loads,
     motion,
     plates,
@@ -482,6 +485,13 @@ def aimed() -> vibration.Target:
     return vibration.Target(field.frequencies, field.autospectra, field.channels)
 
 
+@cache
+def tested() -> MeasuredModes:
+    """Modes of a beam, from FRFs on 61 lines."""
+    f = np.arange(20.0, 81.0)
+    return identify_modes(FrfModel.of(bent(), f), order=12)
+
+
 KINDS: dict[str, Kind] = {}
 
 
@@ -509,6 +519,8 @@ add("model/FRF", lambda: p.lines.__wrapped__(0.03)[0], on_its_lines)
 add("model/measured", lambda: p.hammered.__wrapped__()[0], lambda m: bits((m.impulse_response(DT, 50), m.fingerprint)))
 add("model/other unknowns", lambda: mapped(p.chain.__wrapped__(p.TWO), np.array([[1.0], [0.5]])),
     partial(model_says, history=False))  # fmt: skip
+add("modes", tested)
+add("model/modal", lambda: tested().model(), partial(model_says, still=False))
 add("model/perturbed", lambda: bent().perturbed("stiffness", 1.1), model_says)
 add("structure", sheet, lambda s: bits((s.K_free, s.M_free, s.dofs, s.digest)))
 add("structure/riser", lambda: beams.riser(length=100.0, EI=1e6, mass_per_length=100.0, top_tension=2e5, elements=8),
