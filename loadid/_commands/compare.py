@@ -343,7 +343,8 @@ def _run(args: Namespace) -> int:
     suffix = None if args.output is None else Path(args.output).suffix.lower()
     if suffix not in (None, ".html", ".htm", ".h5"):
         raise InputError("no such kind of file", where=f"-o {args.output}", found=suffix, expected=".html or .h5")
-    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model])
+    require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model],
+                    suffixes={"-o": (".html", ".htm", ".h5")})  # fmt: skip
     with Bar() as bar:
         found = compare(args.log, args.model, families=args.families, validation=args.validation, noise=args.noise,
                         progress=bar, record=one_record(args), **settings(args))  # fmt: skip
