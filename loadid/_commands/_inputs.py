@@ -341,7 +341,8 @@ def predicted(estimate: LoadEstimate, model: Model, record: Any, labels: Sequenc
     if estimate.axis is not None and estimate.axis.name == "time" and model.gives("impulse_response") and _histories(
         estimate
     ):  # fmt: skip
-        made = model.predict(load, estimate.over("time").step, model.default_hold)[:, rows]
+        hold = estimate.provenance.get("settings", {}).get("hold") or model.default_hold
+        made = model.predict(load, estimate.over("time").step, hold)[:, rows]
     else:
         made = np.atleast_2d(load) @ model.static()[rows].T
     measured = measured[: len(made)]

@@ -317,3 +317,30 @@ def test_what_a_family_refuses_is_a_row(folder: Path) -> None:
     assert all(row.held_out is None for row in told.families)
     with pytest.raises(InputError, match="no such family for these data"):
         compare(folder / "log.csv", hit_model(), families=["gradients"])
+
+
+def test_compare_writes_the_page_that_its_help_names(run, folder: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    code, _, err = run(
+        "compare", folder / "log.csv", "--model", folder / "model.h5", "--families", "deconvolution", "-o", page
+    )
+    assert code == 0, err
+    assert "held out" in page.read_text("utf-8")
+
+
+def test_kept_out_sensors_are_predicted_with_the_hold_of_the_estimate() -> None:
+    model = hit_model()
+    rng = np.random.default_rng(0)
+    force = rng.standard_normal((120, 1))
+    h = model.impulse_response(1 / RATE, 120, "zoh")[:, :, 0]
+    y = np.stack([np.convolve(force[:, 0], one)[:120] for one in h.T], axis=1)
+    record = load_record(y)
+    found = identify(record, model, family="deconvolution", hold="zoh", noise=1e-9)
+    exact = replace(found, load=force)
+    assert _inputs.predicted(exact, model, record, ["s3"])["s3"] < 1e-8
+
+
+def load_record(y: np.ndarray) -> Any:
+    from loadid import Record
+
+    return Record(y, 1 / RATE, list(hit_model().sensors))
