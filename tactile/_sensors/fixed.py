@@ -28,10 +28,11 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
+from .discs import EvenEvidence
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
-from .local import ContactFit, EvenEvidence, LocalLoad
+from .local import ContactFit, LocalLoad
 from .marked import ContactLaw
 from .observation import Markers, Wrench
 

@@ -3,87 +3,40 @@
 A press is in one place. Once that is known, loads act about it alone, and its shear is mostly one ratio times its
 pressure, however that is distributed. Both together tell pressure where no normal motion is seen (shear in one
 direction moves markers evenly, pressure moves them outward), and tie the sum of a pressure to its shape where a gel
-near to incompressible hardly shows its sum. Unknown of every contact are a disc that holds it, its size (std of the
-pressure) and the two ratios; of these the evidence of the readings is maximised,
-
-    y = A T x + e,   x ~ 1, e ~ 1,   log p(y) = -(y'y - b'T P T'b) / 2 - log|P^-1| / 2,  P = (1 + T'G T)^-1,
-
-with G = A'A and b = A'y, so that a frame costs products of the size of its contacts (D. J. C. MacKay, Neural Comput. 4
-(1992) 415; C. E. Rasmussen & C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press 2006, ch. 5). Motion
-of the image and the error of the mesh are among the unknowns. Discs that the readings do not tell apart are averaged by
-their evidence. Contacts are added as long as the readings ask for one more.
+near to incompressible hardly shows its sum. Unknown of every contact are a disc that holds it, its size and the two
+ratios (`tactile._sensors.discs`); of these the evidence of the readings is maximised. Discs that the readings do not
+tell apart are averaged by their evidence. Contacts are added as long as the readings ask for one more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import minimize
+from scipy.linalg import qr, solve_triangular
 
-from .._arrays import Array, Index, Mask
-from .gaussian import GaussianProblem, around
-from .inversion import FLIP, Answer, Inverse, Pressed, RegionSolver
+from .._arrays import Array, Mask
+from .discs import GROWING, SIZES, SMALLEST, STEP, Disc, DiscFit, Fitted, keep
+from .gaussian import around
+from .inversion import FLIP, Answer, Pressed, RegionSolver
 
-OWN = 0.1  # of the pressure: std of shear that does not go with it
-MODES = 16  # of the pressure in a disc
-FEW = 1e-4  # of the strongest variance, below which a mode is none
-EVEN = 1.0  # variance of an even pressure in a disc, over that of the prior
-STEP = 1 / 6  # thicknesses between the middles of discs
-SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
 COARSE = 3  # steps between discs of the first look
 LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
-SIZES = np.geomspace(1e2, 1e8, 19)  # Pa, tried in the first look
-STEEPEST = 3.0  # ratio
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
 SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 MOST = 3  # contacts
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
-KEPT, PRODUCTS, PARTS = 100, 1000, 4  # discs, their products, sets of readings
+PARTS = 4  # sets of readings that are kept
 TURN, OPEN = 0.02, 1.0  # step of a derivative by log size and ratios; the largest std of these
-TURNS, QUICK = 8, 3  # steps to sizes and ratios; where discs are compared
+QUICK = 3  # steps to sizes and ratios where discs are compared
 NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
 SETTLED = 2  # starts that are followed
 WAYS, APART, HALF = 4, 0.7, 3  # of splitting a disc: directions, radii to either side, steps of radius
 WEIGHT = 0.02  # of the likeliest disc, below which one is left out of the average
-
-
-@dataclass(frozen=True)
-class Disc:
-    """Place and radius in steps of the lattice."""
-
-    x: int
-    y: int
-    radius: int
-
-
-@dataclass(frozen=True, eq=False)
-class Window:
-    """Loads in a disc: `nodes` (k,), `modes` (k, q) of a pressure of unit size, `columns` (m, 3 q or 6 q) of readings.
-
-    Columns are those of modes along x, y, z, and of the error of the mesh; `finer` (k,) is the variance of what is
-    finer than the modes.
-    """
-
-    nodes: Index
-    modes: Array
-    columns: Array
-    finer: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """Discs with size (log of Pa) and ratios (J, 3), and their log evidence."""
-
-    discs: tuple[Disc, ...]
-    at: Array
-    evidence: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,161 +50,10 @@ class LocalLoad:
 
 
 @dataclass(eq=False)
-class ContactFit:
-    """Contacts of a frame; `places` (P, 3) of the nodes and thickness in m.
+class ContactFit(DiscFit):
+    """Contacts of a frame."""
 
-    `moved` (m, q) are whitened readings of a std of each motion of the image.
-    """
-
-    problem: GaussianProblem
-    places: Array
-    thickness: float
-    moved: Array
-    _known: dict[Disc, Window] = field(default_factory=dict, init=False)
-    _products: dict[tuple[Disc | None, Disc | None], Array] = field(default_factory=dict, init=False)
     _parts: dict[bytes, ContactFit] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        self.middle = (self.places[:, :2].min(axis=0) + self.places[:, :2].max(axis=0)) / 2
-        self.reach = np.ptp(self.places[:, :2], axis=0) / 2
-        self.pitch = float(np.sqrt(np.prod(2 * self.reach) / max(len(self.places), 1)))
-        noise = self.problem.noise[:, None]
-        self.mesh = [e.change * (e.weight / noise) for e in self.problem.errors() if e.of_mesh]
-        self.tolerances = [e.change / noise for e in self.problem.errors() if not e.of_mesh]
-        self.shear = float(np.sqrt(self.problem.prior.share[0] / self.problem.prior.share[2]))
-        self.radii = int(np.log(LARGEST / SMALLEST) / np.log(GROWING)) + 1
-
-    # -- discs --------------------------------------------------------------------------------------------------------
-    def centre(self, disc: Disc) -> Array:
-        """Middle of a disc (2,) in m."""
-        return np.asarray(self.middle + STEP * self.thickness * np.array([disc.x, disc.y]))
-
-    def inside(self, disc: Disc) -> Array:
-        """Which share of the pressure may act at each node (P,): 1 in the disc, none a pitch from its rim."""
-        radius = SMALLEST * self.thickness * GROWING**disc.radius
-        r = np.hypot(*(self.places[:, :2] - self.centre(disc)).T)
-        return np.clip((radius + self.pitch / 2 - r) / self.pitch, 0.0, 1.0)
-
-    def allowed(self, disc: Disc) -> bool:
-        """Whether a disc lies on the surface."""
-        off = np.abs(STEP * self.thickness * np.array([disc.x, disc.y]))
-        return 0 <= disc.radius < self.radii and bool(np.all(off <= self.reach)) and bool(np.any(self.inside(disc)))
-
-    def _made(self, disc: Disc, count: int) -> Window:
-        nodes = np.flatnonzero(self.inside(disc))
-        C = self._covariance(disc, nodes)
-        values, vectors = np.linalg.eigh(C)
-        kept = np.flatnonzero(values > FEW * values[-1])[-count:]
-        modes = vectors[:, kept] * np.sqrt(values[kept])
-        parts = [self.problem.whitened, *self.mesh]
-        columns = [part[:, 3 * nodes + a] @ modes for part in parts for a in range(3)]
-        finer = np.maximum(np.diag(C) - np.sum(modes**2, axis=1), 0.0)
-        return Window(nodes, modes, np.hstack(columns), finer)
-
-    def _covariance(self, disc: Disc, nodes: Index) -> Array:
-        """Of a pressure of unit size at nodes (k,) of a disc."""
-        w = self.inside(disc)[nodes]
-        return np.asarray(w[:, None] * (self.problem.prior.matrix[np.ix_(nodes, nodes)] + EVEN) * w)
-
-    def window(self, disc: Disc) -> Window:
-        """Loads in a disc, made once."""
-        found = self._known.get(disc)
-        if found is None:
-            found = self._made(disc, MODES)
-            _kept(self._known, disc, found, KEPT)
-        return found
-
-    # -- evidence -----------------------------------------------------------------------------------------------------
-    def _cross(self, one: Disc | None, other: Disc | None) -> Array:
-        """Products of the columns of two discs, or of the image (None); made once."""
-        found = self._products.get((one, other))
-        if found is None:
-            found = self._columns(one).T @ self._columns(other)
-            _kept(self._products, (one, other), found, PRODUCTS)
-            _kept(self._products, (other, one), found.T, PRODUCTS)
-        return found
-
-    def _columns(self, disc: Disc | None) -> Array:
-        return self.moved if disc is None else self.window(disc).columns
-
-    def _gram(self, discs: tuple[Disc, ...]) -> Array:
-        """Products (N, N) of the columns of discs and of the image."""
-        parts = (*discs, None)
-        return np.block([[self._cross(one, other) for other in parts] for one in parts])
-
-    def _all(self, discs: tuple[Disc, ...]) -> Array:
-        """Columns (m, N) of discs and of the image."""
-        return np.hstack([self._columns(d) for d in (*discs, None)])
-
-    def _turned(self, discs: tuple[Disc, ...], at: Array) -> list[Array]:
-        """T (3, 3) of each disc: what x, y, z are of the pressure and of the shears of their own."""
-        out = []
-        for size, u, v in at.reshape(-1, 3):
-            out.append(np.exp(size) * np.array([[u, OWN, 0.0], [v, 0.0, OWN], [1.0, 0.0, 0.0]]))
-        return out
-
-    def _spread(self, discs: tuple[Disc, ...], at: Array) -> Array:
-        """T (N, N) of all columns."""
-        blocks = []
-        for disc, small in zip(discs, self._turned(discs, at), strict=True):
-            window = self.window(disc)
-            q = window.modes.shape[1]
-            blocks += [np.kron(small, np.eye(q))] * (window.columns.shape[1] // (3 * q))
-        N = sum(len(b) for b in blocks) + self.moved.shape[1]
-        T, k = np.eye(N), 0
-        for b in blocks:
-            T[k : k + len(b), k : k + len(b)] = b
-            k += len(b)
-        return T
-
-    def _slopes(self, discs: tuple[Disc, ...], at: Array, D: Array) -> Array:
-        """Derivative of the evidence by size and ratios of each disc, D (N, N) being that by T."""
-        out, k = np.zeros((len(discs), 3)), 0
-        for j, (disc, small) in enumerate(zip(discs, self._turned(discs, at), strict=True)):
-            window = self.window(disc)
-            q = window.modes.shape[1]
-            for _ in range(window.columns.shape[1] // (3 * q)):
-                block = D[k : k + 3 * q, k : k + 3 * q].reshape(3, q, 3, q)
-                small_D = np.einsum("aibi->ab", block)
-                out[j, 0] += np.sum(small_D * small)
-                out[j, 1:] += np.exp(at[3 * j]) * small_D[:2, 0]
-                k += 3 * q
-        return out.ravel()
-
-    def _value(self, z: Array, discs: tuple[Disc, ...], at: Array, sloping: bool = True) -> tuple[float, Array]:
-        """Evidence at sizes and ratios (3 J,), and its derivative where it is asked for."""
-        G = self._gram(discs)
-        b, T = np.concatenate([self._columns(d).T @ z for d in (*discs, None)]), self._spread(discs, at)
-        GT = G @ T
-        factor = np.linalg.cholesky(T.T @ GT + np.eye(len(G)))
-        half = solve_triangular(factor, T.T @ b, lower=True, check_finite=False)
-        ratios = at.reshape(-1, 3)[:, 1:]
-        value = -0.5 * (z @ z - half @ half) - np.sum(np.log(np.diag(factor))) - 0.5 * np.sum(ratios**2) / self.shear**2
-        if not sloping:
-            return float(value), np.empty(0)
-        m = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
-        slope = self._slopes(discs, at, np.outer(b - GT @ m, m) - cho_solve((factor, True), GT.T, check_finite=False).T)
-        slope.reshape(-1, 3)[:, 1:] -= ratios / self.shear**2
-        return float(value), slope
-
-    def fitted(
-        self, z: Array, discs: tuple[Disc, ...], start: Array, least: float = -np.inf, turns: int = TURNS
-    ) -> Fitted:
-        """Sizes and ratios of discs of the largest evidence, from a start (J, 3) where they are at least so likely."""
-        low = np.tile([np.log(SIZES[0]), -STEEPEST, -STEEPEST], len(discs))
-        high = np.tile([np.log(SIZES[-1]), STEEPEST, STEEPEST], len(discs))
-        first = np.clip(start.ravel(), low, high)
-        value = self._value(z, discs, first, sloping=False)[0]
-        if value < least:
-            return Fitted(discs, first.reshape(-1, 3), value)
-
-        def cost(at: Array) -> tuple[float, Array]:
-            value, slope = self._value(z, discs, at)
-            return -value, -slope
-
-        found = minimize(cost, first, jac=True, method="L-BFGS-B", bounds=list(zip(low, high, strict=True)),
-                         options={"maxiter": turns, "ftol": 1e-5})  # fmt: skip
-        return Fitted(discs, found.x.reshape(-1, 3), -float(found.fun))
 
     # -- search -------------------------------------------------------------------------------------------------------
     @cached_property
@@ -292,9 +94,12 @@ class ContactFit:
 
     def _left(self, z: Array, known: Fitted) -> Array:
         """What known contacts and the image do not explain of readings."""
-        columns, G, T = self._all(known.discs), self._gram(known.discs), self._spread(known.discs, known.at)
-        m = np.linalg.solve(T.T @ G @ T + np.eye(len(G)), T.T @ (columns.T @ z))
-        return np.asarray(z - columns @ (T @ m))
+        return np.asarray(z - self._all(known.discs) @ self._likeliest(z, known.discs, known.at))
+
+    def _likeliest(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
+        """Modes (N,) of discs, of the errors of the mesh and of the image."""
+        told = self._turned(discs, at, self._all(discs).T @ z, back=True)
+        return self._turned(discs, at, np.asarray(np.linalg.solve(self._within(discs, at), told), float))
 
     def settled(self, z: Array, found: Fitted, seen: dict[tuple[Disc, ...], Fitted]) -> Fitted:
         """The likeliest discs near some, by steps in place and radius."""
@@ -369,7 +174,7 @@ class ContactFit:
         key = seen.tobytes()
         if key not in self._parts:
             part = ContactFit(self.problem.on(seen), self.places, self.thickness, self.moved[seen])
-            _kept(self._parts, key, part, PARTS)
+            keep(self._parts, key, part, PARTS)
         return self._parts[key]
 
     def __call__(self, z: Array, wide: float = 1.0, level: float = -np.inf) -> LocalLoad | None:
@@ -412,7 +217,7 @@ class ContactFit:
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
         inner = [np.flatnonzero(self.inside(d)) for d in f.discs]
-        for disc, nodes, small in zip(f.discs, inner, self._turned(f.discs, f.at), strict=True):
+        for disc, nodes, small in zip(f.discs, inner, self._small(f.discs, f.at), strict=True):
             held[nodes] = True
             C = self._covariance(disc, nodes) + FLOOR * np.eye(len(nodes))
             spread[np.ix_(nodes, nodes)] += C[:, :, None, None] * (small @ small.T)
@@ -421,7 +226,7 @@ class ContactFit:
         C = spread[np.ix_(nodes, nodes)].transpose(0, 2, 1, 3).reshape(n, n)
         L = solve_triangular(np.linalg.cholesky(C), np.eye(n), lower=True)
         noise = np.eye(len(z)) + self.moved @ self.moved.T
-        for disc, small in zip(f.discs, self._turned(f.discs, f.at), strict=True):
+        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
             w = self.window(disc)
             q = w.modes.shape[1]
             for k in range(3 * q, w.columns.shape[1], 3 * q):
@@ -464,8 +269,7 @@ class ContactFit:
 
     def _mean(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
         """Load (n,) at sizes and ratios."""
-        columns, G, T = self._all(discs), self._gram(discs), self._spread(discs, at)
-        m = T @ np.linalg.solve(T.T @ G @ T + np.eye(len(G)), T.T @ (columns.T @ z))
+        m = self._likeliest(z, discs, at)
         load, k = np.zeros((len(self.places), 3)), 0
         for disc in discs:
             w = self.window(disc)
@@ -476,68 +280,38 @@ class ContactFit:
 
     def _posterior(self, z: Array, f: Fitted) -> tuple[Array, Array, Array]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6)."""
-        columns = self._all(f.discs)
-        T, n = self._spread(f.discs, f.at), self.problem.H.shape[1]
-        L, finer = np.zeros((n, len(T))), np.zeros((len(self.places), 3))
-        k = 0
-        for disc, small in zip(f.discs, self._turned(f.discs, f.at), strict=True):
+        nodes = np.unique(np.concatenate([self.window(d).nodes for d in f.discs]))
+        own, columns = (3 * nodes[:, None] + np.arange(3)).ravel(), self._all(f.discs)
+        L, finer, k = np.zeros((columns.shape[1], len(nodes), 3)), np.zeros((len(nodes), 3)), 0
+        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
             w = self.window(disc)
-            q = w.modes.shape[1]
+            q, at = w.modes.shape[1], np.searchsorted(nodes, w.nodes)
             for a in range(3):
-                L[3 * w.nodes + a, k + a * q : k + (a + 1) * q] = w.modes
-            finer[w.nodes] += np.outer(w.finer, np.sum(small**2, axis=1))
+                L[k + a * q : k + (a + 1) * q, at, a] = w.modes.T
+            finer[at] += np.outer(w.finer, np.sum(small**2, axis=1))
             k += w.columns.shape[1]
-        X, back = columns @ T, L @ T
-        half, mean = _solved(X, back, z)
-        for change in self.tolerances:  # of the load that is found without them
-            X, back = np.column_stack([X, change @ mean]), np.column_stack([back, np.zeros(len(back))])
-        if self.tolerances:
-            half, mean = _solved(X, back, z)
-        felt = self.problem.resultant @ half
-        return mean, np.sum(half**2, axis=1) + finer.ravel(), felt @ felt.T
-
-
-@dataclass(frozen=True, eq=False)
-class EvenEvidence:
-    """Log evidence of readings under loads all over the surface, by their frozen inverse, beside motion of the image.
-
-    `left` (m, m) is what no other reading predicts, its inverse the covariance of the whitened readings.
-    """
-
-    left: Array
-    moved: Array
-    size: float
-
-    @classmethod
-    def of(cls, inverse: Inverse, moved: Array) -> EvenEvidence:
-        """Made once for an inverse."""
-        left = np.eye(len(inverse.noise)) - inverse.influence
-        within = np.eye(moved.shape[1]) + moved.T @ (left @ moved)
-        factor = np.linalg.cholesky(within)
-        gained = solve_triangular(factor, moved.T @ left, lower=True)
-        size = float(np.linalg.slogdet(left)[1] - 2 * np.sum(np.log(np.diag(factor))))
-        return cls(left, gained, size / 2)
-
-    def __call__(self, z: Array) -> float:
-        """Of whitened readings (m,)."""
-        told = self.moved @ z
-        return self.size - 0.5 * float(z @ (self.left @ z) - told @ told)
+        X = self._turned(f.discs, f.at, columns.T, back=True).T
+        back = self._turned(f.discs, f.at, L.reshape(len(L), -1), back=True).T
+        half, found = _solved(X, back, z)
+        if self.tolerances:  # of the load that is found without them
+            changes = np.column_stack([found @ change[own] for change in self.tolerances])
+            back = np.hstack([back, np.zeros((len(back), changes.shape[1]))])
+            half, found = _solved(np.hstack([X, changes]), back, z)
+        felt = self.problem.resultant[:, own] @ half
+        mean, variance = np.zeros((2, self.problem.H.shape[1]))
+        mean[own], variance[own] = found, np.sum(half**2, axis=1) + finer.ravel()
+        return mean, variance, felt @ felt.T
 
 
 def _solved(X: Array, back: Array, z: Array) -> tuple[Array, Array]:
     """Load `back` x (n,) of readings z = X x + e, x and e white: half its covariance, half half', and its mean."""
-    Q, R = np.linalg.qr(np.vstack([X, np.eye(X.shape[1])]))
-    half = solve_triangular(R, back.T, trans="T").T
-    return half, half @ (Q[: len(z)].T @ z)
+    N = X.shape[1]
+    whole = np.vstack([np.column_stack([X, z]), np.eye(N, N + 1)])
+    R = qr(whole, mode="r", check_finite=False)[0]  # its last column is Q'z
+    half = solve_triangular(R[:N, :N], back.T, trans="T").T
+    return half, half @ R[:N, N]
 
 
 def _score(found: Fitted) -> float:
     """Log evidence less what as many contacts are worth by chance."""
     return found.evidence - WORTH * len(found.discs)
-
-
-def _kept(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:
-    """Keep a value beside at most so many others, the newest."""
-    while len(store) >= most:
-        store.pop(next(iter(store)), None)
-    store[key] = value

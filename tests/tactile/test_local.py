@@ -7,8 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from case_studies.bodies import Patch, surfaces
-from tactile import Markers, MultilayerPad, Pad
-from tactile._sensors.local import OWN, ContactFit, Disc
+from tactile import Markers, MultilayerPad, Pad, Tolerances
+from tactile._sensors.discs import OWN, Disc, Fitted
+from tactile._sensors.local import ContactFit
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -55,6 +56,48 @@ def test_the_evidence_is_that_of_a_dense_covariance() -> None:
     for k, step in enumerate(1e-5 * np.eye(6)):
         up, down = (f._value(z, discs, at + sign * step)[0] for sign in (1, -1))
         assert np.isclose(slope[k], (up - down) / 2e-5, rtol=1e-4, atol=1e-4)
+
+
+def test_modes_of_a_disc_hold_the_pressures_of_the_prior_in_it() -> None:
+    f, disc = fit(), Disc(2, -3, 3)
+    window, (x, y) = f.window(disc), f.middle + THICK / 6 * np.array([2, -3])
+    r = np.hypot(*(f.places[:, :2] - (x, y)).T)
+    w = np.clip((0.25 * 1.25**3 * THICK + f.pitch / 2 - r) / f.pitch, 0, 1)
+    C = w[:, None] * (f.problem.prior.matrix + 1.0) * w
+    C = C[np.ix_(window.nodes, window.nodes)]
+    assert np.array_equal(window.nodes, np.flatnonzero(w))
+    assert np.allclose(np.sum(window.modes**2, axis=1) + window.finer, np.diag(C), rtol=1e-9)
+    assert np.linalg.norm(window.modes @ window.modes.T - C) < 0.02 * np.linalg.norm(C)
+
+
+def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_pad() -> None:
+    pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
+    loose = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), tolerances=Tolerances(E=0.1, nu=0.02), choice=0.03)
+    f, disc, at = loose._contacts(with_depth=True), Disc(1, -1, 3), np.array([[8.0, 0.2, -0.1]])
+    assert f is not None
+    z = pressed()[0].ravel() / NOISE
+    w, (size, u, v) = f.window(disc), at[0]
+    q, share = w.modes.shape[1], np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
+    spread = np.kron(share, np.eye(q))
+    S = np.eye(len(z)) + f.moved @ f.moved.T
+    for first in range(0, w.columns.shape[1], 3 * q):
+        A = w.columns[:, first : first + 3 * q]
+        S += A @ spread @ A.T
+    L = np.zeros((len(f.places), 3, 3 * q))
+    for a in range(3):
+        L[w.nodes, a, a * q : (a + 1) * q] = w.modes
+    L = L.reshape(-1, 3 * q)
+    reach = L @ spread @ w.columns[:, : 3 * q].T
+    errors = [e.change / f.problem.noise[:, None] for e in f.problem.errors() if not e.of_mesh]
+    assert len(errors) == 2
+    plain = reach @ np.linalg.solve(S, z)
+    for change in errors:
+        S += np.outer(change @ plain, change @ plain)
+    R = f.problem.resultant
+    mean, _, wrench = f._posterior(z, Fitted((disc,), at, 0.0))
+    assert np.allclose(mean, reach @ np.linalg.solve(S, z), rtol=1e-7, atol=1e-7 * np.abs(plain).max())
+    dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T)) @ R.T
+    assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
 
 
 def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
