@@ -34,7 +34,7 @@ IN_PARTS = "take it in parts: loadid.read_folder(path).window(start, stop) or .p
 
 
 @dataclass(frozen=True)
-class Part:
+class FolderPart:
     """One file of a folder: its first sample within the record, how many it has, and when it begins (s since 1970)."""
 
     path: Path
@@ -55,7 +55,7 @@ class Folder(ReadOnly):
     Parameters
     ----------
     path : Path
-    parts : tuple of Part
+    parts : tuple of FolderPart
         In the order of time.
     outline : RecordOutline
         Of the record that they make: channels, units as the files state them, step, samples with gaps, notes.
@@ -68,7 +68,7 @@ class Folder(ReadOnly):
     """
 
     path: Path
-    parts: tuple[Part, ...]
+    parts: tuple[FolderPart, ...]
     outline: RecordOutline
     start: float | None
     reading: Mapping[str, Any]
@@ -305,17 +305,17 @@ def _said(labels: Sequence[str], units: Sequence[str | None]) -> str:
     return ", ".join(f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True))
 
 
-def _placed(found: Sequence[tuple[Path, RecordOutline]]) -> tuple[tuple[Part, ...], list[str]]:
+def _placed(found: Sequence[tuple[Path, RecordOutline]]) -> tuple[tuple[FolderPart, ...], list[str]]:
     """Files on the grid of the first one, and what is said of gaps, overlaps and starts between its samples."""
     dt, begin = found[0][1].dt, found[0][1].start
-    parts: list[Part] = []
+    parts: list[FolderPart] = []
     away = 0.0
     for path, one in found:
         first = parts[-1].end if parts else 0
         if begin is not None and one.start is not None and dt is not None:
             exact = (one.start - begin) / dt
             first, away = round(exact), max(away, abs(exact - round(exact)))
-        parts.append(Part(path, first, one.samples, one.start))
+        parts.append(FolderPart(path, first, one.samples, one.start))
     notes = []
     if gaps := _gaps(parts):
         gone, (longest, size) = sum(gaps.values()), max(gaps.items(), key=lambda pair: pair[1])
@@ -332,7 +332,7 @@ def _placed(found: Sequence[tuple[Path, RecordOutline]]) -> tuple[tuple[Part, ..
     return tuple(parts), notes
 
 
-def _gaps(parts: Sequence[Part]) -> dict[Path, int]:
+def _gaps(parts: Sequence[FolderPart]) -> dict[Path, int]:
     """Samples between the end of what was recorded so far and the next file, by the file before."""
     found, last = {}, parts[0]
     for part in parts[1:]:

@@ -186,7 +186,7 @@ class _Log:
     def __init__(self, level: str, *, as_json: bool, hushed: bool) -> None:
         self.level, self.hushed = level.upper(), hushed
         self.handler = logging.StreamHandler()
-        plain = _Lines("%(name)s %(levelname)s: %(message)s")
+        plain = LogLines("%(name)s %(levelname)s: %(message)s")
         self.handler.setFormatter(_JsonLines() if as_json else plain)
         self.loggers = [logging.getLogger(name) for name in ("structures", "loadid", "tactile")]
 
@@ -204,7 +204,7 @@ class _Log:
             logger.setLevel(level)
 
 
-class _Lines(logging.Formatter):
+class LogLines(logging.Formatter):
     """Text that a terminal only shows."""
 
     def format(self, record: logging.LogRecord) -> str:

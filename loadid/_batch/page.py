@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import _page
-from .._page import Cell, Html, Section
+from .._page import Html, PageSection, SortedCell
 from .plan import Plan
 from .results import MISFIT, UNKNOWN, Results
 
@@ -63,10 +63,10 @@ def fleet(plan: Plan, found: Results) -> str:
     missing = [row for row in records if row["status"] != "done"]
     alarms = sorted(found.rows["alarms"], key=lambda row: not row["certain"])
     sections = [
-        Section("Assets", _assets(lines)),
-        Section("Sensors over time", _sensors(lines)),
-        Section("Alarms", _listed(alarms, ("asset", "day", "record", "said", "certain"))),
-        Section("Records without an answer", _listed(missing, ("asset", "record", "status", "said"))),
+        PageSection("Assets", _assets(lines)),
+        PageSection("Sensors over time", _sensors(lines)),
+        PageSection("Alarms", _listed(alarms, ("asset", "day", "record", "said", "certain"))),
+        PageSection("Records without an answer", _listed(missing, ("asset", "record", "status", "said"))),
     ]
     said = (f"{eyes} of {len(lines)} assets need eyes; {done} of {len(records)} records have an answer; "
             f"{len(alarms)} alarms, {sum(1 for row in alarms if row['certain'])} of them certain.")  # fmt: skip
@@ -130,9 +130,10 @@ def _assets(lines: Sequence[AssetLine]) -> Html:
              "equivalent load")  # fmt: skip
     rows = [
         (
-            Cell(_page.part("eyes", line.attention > 0), round(line.attention, 4)), line.asset, line.why,
-            Cell(f"{line.done} of {line.records}", line.done), line.grade,
-            Cell("" if line.use is None else f"{100 * line.use:.0f} %", line.use or 0), line.peak, line.equivalent,
+            SortedCell(_page.part("eyes", line.attention > 0), round(line.attention, 4)), line.asset, line.why,
+            SortedCell(f"{line.done} of {line.records}", line.done), line.grade,
+            SortedCell("" if line.use is None else f"{100 * line.use:.0f} %", line.use or 0),
+            line.peak, line.equivalent,
         )
         for line in lines
     ]  # fmt: skip

@@ -400,10 +400,10 @@ def _page(found: RecordComparison, log: str) -> str:
     kept = f"; kept out: {', '.join(found.kept_out)}" if found.kept_out else ""
     refused = [f"{row.name}: {row.refused}" for row in found.families if row.refused]
     sections = [
-        page.Section("Families", page.table([_family_cells(row) for row in found.families], FAMILY_HEAD)),
-        page.Section("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
-        page.Section("Refused", page.paragraphs(*refused) if refused else ""),
-        page.Section("Rules for lambda", page.joined(
+        page.PageSection("Families", page.table([_family_cells(row) for row in found.families], FAMILY_HEAD)),
+        page.PageSection("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
+        page.PageSection("Refused", page.paragraphs(*refused) if refused else ""),
+        page.PageSection("Rules for lambda", page.joined(
             page.paragraphs(found.verdict), page.table([_rule_cells(row) for row in found.rules], RULE_HEAD))),
     ]  # fmt: skip
     return page.document("Families and rules", sections, about=f"{log}; {found.load}{kept}")

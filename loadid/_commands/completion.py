@@ -22,7 +22,7 @@ examples:
 
 
 @dataclass(frozen=True)
-class Option:
+class ShellOption:
     """An option of a command: its spellings, its help, whether a value follows, and the words that it may be."""
 
     names: tuple[str, ...]
@@ -36,7 +36,7 @@ class Words:
     """What may follow a command: its options, and the words of its first argument where these are given."""
 
     help: str
-    options: tuple[Option, ...]
+    options: tuple[ShellOption, ...]
     first: tuple[str, ...]
 
 
@@ -52,7 +52,7 @@ def words() -> dict[str, Words]:
 def _words(arguments: Sequence[argparse.Action], description: str) -> Words:
     shown = [a for a in arguments if a.help is not argparse.SUPPRESS]
     options = tuple(
-        Option(tuple(a.option_strings), " ".join((a.help or "").replace("%(default)s", str(a.default)).split()),
+        ShellOption(tuple(a.option_strings), " ".join((a.help or "").replace("%(default)s", str(a.default)).split()),
                a.nargs != 0, _choices(a))
         for a in shown if a.option_strings
     )  # fmt: skip
@@ -139,7 +139,7 @@ def fish(known: dict[str, Words]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _either(name: str, option: Option) -> str:
+def _either(name: str, option: ShellOption) -> str:
     return "|".join(f"{name}:{spelled}" for spelled in option.names)
 
 

@@ -31,7 +31,7 @@ STYLE = "page.css"
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A titled part of a page.
 
     Parameters
@@ -49,7 +49,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Cell:
+class SortedCell:
     """A cell of a table that is sorted by `key` and not by its text."""
 
     text: Html | str
@@ -92,7 +92,7 @@ def drawn(chart: Chart, *, live: bool = True) -> Html:
 
 
 def table(rows: Iterable[Sequence[Any]], head: Sequence[str] = (), *, sortable: bool = False) -> Html:
-    """Rows of text as a table whose first column names the rest, or whose columns sort it: a `Cell` says by what."""
+    """Rows of text as a table whose first column names the rest, or whose columns sort it by their `SortedCell`."""
     return part("table", [[*row] for row in rows], [*head], sortable)
 
 
@@ -113,7 +113,7 @@ def joined(*pieces: Html | str) -> Html:
 
 
 def document(
-    title: str, sections: Sequence[Section], *, about: str = "", note: str = "", answer: Html | str = "",
+    title: str, sections: Sequence[PageSection], *, about: str = "", note: str = "", answer: Html | str = "",
     script: str = CHARTS, wide: bool = False,
 ) -> str:  # fmt: skip
     """A whole page.
@@ -122,7 +122,7 @@ def document(
     ----------
     title, about, note : str
         Heading, the line below it, and what stands on pictures that are saved from the page.
-    sections : sequence of Section
+    sections : sequence of PageSection
     answer : Html or str
         What a reader must see first.
     script : str

@@ -12,7 +12,7 @@ import numpy as np
 
 from structures import units as _units
 from structures._advice import Advice, either
-from structures.files._curves import TIME, Curve, held, read_sdynpy
+from structures.files._curves import TIME, Trace, held, read_sdynpy
 from structures.files._frf_text import described, pairs_of, parted
 from structures.files._recorded import StatedUnit
 from structures.files._simcenter import blocks_of, curves_of
@@ -99,11 +99,11 @@ def refuse_frfs(names: Sequence[str] | None, source: Source) -> None:
                       "samples over time", MODEL)  # fmt: skip
 
 
-def _tables(curves: Sequence[Curve], source: Source) -> list[Table]:
+def _tables(curves: Sequence[Trace], source: Source) -> list[Table]:
     times = [c for c in curves if c.type == TIME]
     if not times:
         source.refuse("the file holds no time response", held(curves), "functions over time", MODEL)
-    runs: list[list[Curve]] = []
+    runs: list[list[Trace]] = []
     for curve in times:
         for run in runs:
             first = run[0]
@@ -116,11 +116,11 @@ def _tables(curves: Sequence[Curve], source: Source) -> list[Table]:
     return [_table(run, "" if len(runs) == 1 else f"run {k + 1}", note, source) for k, run in enumerate(runs)]
 
 
-def _has(run: list[Curve], curve: Curve) -> bool:
+def _has(run: list[Trace], curve: Trace) -> bool:
     return bool(curve.response) and any(c.response == curve.response for c in run)
 
 
-def _table(run: list[Curve], name: str, notes: list[str], source: Source) -> Table:
+def _table(run: list[Trace], name: str, notes: list[str], source: Source) -> Table:
     if len(run) > COLUMNS:
         source.refuse("too many channels", len(run), f"at most {COLUMNS}")
     if any(np.iscomplexobj(c.values) and np.any(c.values.imag) for c in run):

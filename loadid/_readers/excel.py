@@ -30,7 +30,7 @@ def _is_workbook(head: bytes) -> bool:
 
 
 @dataclass(frozen=True)
-class Sheet(Source):
+class Worksheet(Source):
     """A sheet as the text table that it would be saved as, its rows in the same lines."""
 
     text: str = ""
@@ -84,7 +84,7 @@ def _sheet(sheet: Any, source: Source, options: Options) -> list[Table]:
     last = max((k for k, row in enumerate(rows) if any(isinstance(c, str) for c in row)), default=-1)
     full = [[*r, *[None] * (width - len(r))] for r in rows]
     text = "".join("\t".join(_text(c, k > last and bool(r)) for c in full[k]) + "\n" for k, r in enumerate(rows))
-    shown = Sheet(source.path, source.size, source.head, text=text)
+    shown = Worksheet(source.path, source.size, source.head, text=text)
     try:
         (table,) = load_text(shown, options)
     except InputError as error:

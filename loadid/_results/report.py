@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from structures.errors import plain
 
 from .. import _page
-from .._page import Html, Section
+from .._page import Html, PageSection
 from .functionals import in_words
 from .shown import label
 from .summary import (
@@ -72,17 +72,17 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
     title = f"Load estimate: {', '.join(estimate.labels[:4])}" + (" …" if len(estimate.labels) > 4 else "")
     rows = _told(estimate)
     sections = [
-        Section("Result", _page.joined(_known(estimate, truth), _picture(estimate, truth, png), _notes(estimate))),
-        Section("Cautions", cautions(estimate)),
-        Section("Every load", _every(estimate, rows), folded=True),
-        Section("What every line can tell", _lines(estimate), folded=True),
-        Section("Measured against predicted", _response(estimate), folded=True),
-        Section("What the data cannot tell", _limits(estimate), folded=True),
-        Section("What the data can tell", _diagnosis(estimate), folded=True),
-        Section("How lambda was chosen", _choice(estimate), folded=True),
-        Section("Flags", flag_list(estimate), folded=True),
-        Section("Verification", verification(estimate), folded=True),
-        Section("Provenance", provenance_table(estimate), folded=True),
+        PageSection("Result", _page.joined(_known(estimate, truth), _picture(estimate, truth, png), _notes(estimate))),
+        PageSection("Cautions", cautions(estimate)),
+        PageSection("Every load", _every(estimate, rows), folded=True),
+        PageSection("What every line can tell", _lines(estimate), folded=True),
+        PageSection("Measured against predicted", _response(estimate), folded=True),
+        PageSection("What the data cannot tell", _limits(estimate), folded=True),
+        PageSection("What the data can tell", _diagnosis(estimate), folded=True),
+        PageSection("How lambda was chosen", _choice(estimate), folded=True),
+        PageSection("Flags", flag_list(estimate), folded=True),
+        PageSection("Verification", verification(estimate), folded=True),
+        PageSection("Provenance", provenance_table(estimate), folded=True),
     ]
     answer = _page.joined(_answer(estimate, rows), checked(estimate))
     note = "  |  ".join(label(estimate))

@@ -27,7 +27,7 @@ OPEN = StatedUnit(None, None, "the file states no unit")
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Trace:
     """One function of a file.
 
     Parameters
@@ -54,13 +54,13 @@ class Curve:
     step: float | None = None
 
 
-def held(curves: Sequence[Curve]) -> str:
+def held(curves: Sequence[Trace]) -> str:
     """How many functions of which kind there are, for messages."""
     words = [KINDS.get(c.type, f"function of type {c.type}") for c in curves]
     return ", ".join(f"{words.count(w)} x {w}" for w in dict.fromkeys(words)) or "no function"
 
 
-def of_curves(curves: Sequence[Curve], asked: Asked) -> RecordedFrfs:
+def of_curves(curves: Sequence[Trace], asked: Asked) -> RecordedFrfs:
     """The table of the FRFs among some curves.
 
     Raises
@@ -68,7 +68,7 @@ def of_curves(curves: Sequence[Curve], asked: Asked) -> RecordedFrfs:
     InputError
         None, pairs that are missing or doubled, lines or units that differ.
     """
-    pairs: dict[tuple[str, str], Curve] = {}
+    pairs: dict[tuple[str, str], Trace] = {}
     for curve in (c for c in curves if c.type == FRF):
         pair = (curve.response or "response", curve.reference or "reference")
         if pair in pairs:
@@ -96,7 +96,7 @@ def of_curves(curves: Sequence[Curve], asked: Asked) -> RecordedFrfs:
     )
 
 
-def renamed(curves: Sequence[Curve], asked: Asked) -> list[Curve]:
+def renamed(curves: Sequence[Trace], asked: Asked) -> list[Trace]:
     """FRFs of a file that names no degrees of freedom, with those that the caller states, references running first.
 
     Raises
@@ -125,7 +125,7 @@ def label_of(text: str) -> str:
         return bare
 
 
-def read_sdynpy(path: str | Path) -> list[Curve]:
+def read_sdynpy(path: str | Path) -> list[Trace]:
     """Functions of an archive that SDynPy saved; its objects, if it holds any, are never unpickled.
 
     Raises
@@ -159,7 +159,7 @@ def read_sdynpy(path: str | Path) -> list[Curve]:
     for x, y, where in zip(abscissa, ordinate, data["coordinate"], strict=True):
         labels = [_coordinate(c, str(path)) for c in np.ravel(where)]
         response, reference = (*labels, "", "")[:2]
-        curves.append(Curve(int(kind.reshape(-1)[0]), x, y, response, reference))
+        curves.append(Trace(int(kind.reshape(-1)[0]), x, y, response, reference))
     return curves
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import units
-from ._curves import FRF, OPEN, Curve, label_of
+from ._curves import FRF, OPEN, Trace, label_of
 from ._recorded import StatedUnit, refuse
 from ._uff import ratio
 
@@ -82,7 +82,7 @@ def described(pairs: Sequence[Pair]) -> str:
     return f"a column of frequencies, {_SHOWN[pairs[0].form]}{listed}"
 
 
-def read_text(path: Path, frequency_unit: str) -> list[Curve]:
+def read_text(path: Path, frequency_unit: str) -> list[Trace]:
     """FRFs of a text table.
 
     Raises
@@ -105,7 +105,7 @@ def read_text(path: Path, frequency_unit: str) -> list[Curve]:
     return [_curve(p, f, values, texts, where) for p in pairs]
 
 
-def _curve(pair: Pair, f: NDArray[np.float64], values: NDArray[np.float64], texts: list[str], where: str) -> Curve:
+def _curve(pair: Pair, f: NDArray[np.float64], values: NDArray[np.float64], texts: list[str], where: str) -> Trace:
     first, second = values[:, pair.first], values[:, pair.second]
     text = texts[pair.first]
     if re.match(r"dB\b", text):
@@ -122,7 +122,7 @@ def _curve(pair: Pair, f: NDArray[np.float64], values: NDArray[np.float64], text
     response, slash, reference = pair.name.partition("/")
     over, under = _units(text)
     label = label_of(re.sub(r"^(?:FRF|H\d?)\b[\s:]*", "", response) or response)
-    return Curve(FRF, f, H, label, label_of(reference) if slash else "", over, under)
+    return Trace(FRF, f, H, label, label_of(reference) if slash else "", over, under)
 
 
 def _units(text: str) -> tuple[StatedUnit, StatedUnit]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import units
-from ._curves import FRF, OPEN, TIME, Curve, label_of
+from ._curves import FRF, OPEN, TIME, Trace, label_of
 from ._recorded import StatedUnit, refuse
 from ._uff import ratio
 
@@ -39,7 +39,7 @@ def blocks_of(tree: dict[str, Any], depth: int = 0) -> Iterator[tuple[str, dict[
                 yield from ((f"{name}.{below}", block) for below, block in blocks_of(one, depth + 1))
 
 
-def curves_of(name: str, block: dict[str, Any], path: str) -> list[Curve]:
+def curves_of(name: str, block: dict[str, Any], path: str) -> list[Trace]:
     """Channels of one block.
 
     Raises
@@ -65,7 +65,7 @@ def curves_of(name: str, block: dict[str, Any], path: str) -> list[Curve]:
         response, reference = label, references[k]
         if kind == FRF and not channels[k] and "/" in label:
             response, _, reference = label.partition("/")
-        curves.append(Curve(kind, x, values[:, k], label_of(response), label_of(reference) if reference else "",
+        curves.append(Trace(kind, x, values[:, k], label_of(response), label_of(reference) if reference else "",
                             over, under, step))  # fmt: skip
     return curves
 

@@ -20,7 +20,7 @@ from structures.errors import InputError, integer, number, pair, plain, positive
 
 from .._arrays import PLANE, SPACE, Array, shaped
 from .layer import Components, HalfSpace, Layer
-from .profiles import Profile, gauss, polygon_means, profile
+from .profiles import PressureProfile, gauss, polygon_means, profile
 
 HEIGHTS = 21  # Chebyshev points over the thickness, where points have more heights than that: 1e-12
 TABLE = 4096  # points of a cubic spline in its stead for a great many distances: 1e-11
@@ -70,7 +70,7 @@ def matrices(functions: Array, offsets: Array) -> Array:
     return found
 
 
-def _half_space(ground: Layer | HalfSpace, form: Profile, a: float, r: Array, depth: Array) -> Array:
+def _half_space(ground: Layer | HalfSpace, form: PressureProfile, a: float, r: Array, depth: Array) -> Array:
     H0, H1 = np.zeros((2, len(r), 3))
     top = depth == 0
     H0[top] = form.surface(r[top] / a) / a

@@ -43,7 +43,7 @@ SHALLOW = 0.05  # d/a below which the rules need more points
 
 
 @dataclass(frozen=True)
-class Profile:
+class PressureProfile:
     """A round traction of unit radius and unit resultant, by functions of r/a and of s = k a.
 
     `shape` is the traction times a^2, `within` the share of the resultant inside r/a, `transform` the Hankel transform
@@ -92,7 +92,7 @@ class Profile:
         return H0, H1
 
 
-def profile(name: str) -> Profile:
+def profile(name: str) -> PressureProfile:
     """The profile of a name, ``"hertz"`` or ``"uniform"``; another name is refused."""
     hint = '"hertz" for a sphere or for partial slip, "uniform" for a flat patch'
     return PROFILES[one_of("no profile of a press", name, PROFILES, where="profile", hint=hint)]
@@ -161,8 +161,8 @@ def _uniform_weight(t: Array) -> Array:
 
 
 PROFILES = {
-    "hertz": Profile("hertz", _hertz_shape, _hertz_within, _hertz_transform, _hertz_surface, _hertz_weight),
-    "uniform": Profile(
+    "hertz": PressureProfile("hertz", _hertz_shape, _hertz_within, _hertz_transform, _hertz_surface, _hertz_weight),
+    "uniform": PressureProfile(
         "uniform", _uniform_shape, _uniform_within, _uniform_transform, _uniform_surface, _uniform_weight
     ),
 }
@@ -171,7 +171,7 @@ PROFILES = {
 NODES = 16  # a side of each crossing; the square root of the traction at r = 1 is smooth in the angle that places them
 
 
-def polygon_means(profile: Profile, corners: Array) -> Array:
+def polygon_means(profile: PressureProfile, corners: Array) -> Array:
     """Mean over polygons (n, corners, 2), counter-clockwise, of a round traction of unit radius about the origin, (n,).
 
     By Green's theorem the integral is the sum over the edges of int F(r) dphi, 2 pi F(r) being the share of the

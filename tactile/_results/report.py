@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loadid import _page
-from loadid._page import Html, Section
+from loadid._page import Html, PageSection
 from loadid._results import report as parts
 from loadid._results.summary import plus_minus
 
@@ -100,13 +100,13 @@ def page(
     one = force if force.single else force.frame(k)
     name = "" if force.single else f", {force.frame_name(k)}"
     sections = [
-        Section(f"Result{name}", _picture(force, one, truth, wrenches, frame)),
-        Section("Against the truth", _compared(compared)),
-        Section("Cautions", parts.cautions(force)),
-        Section("How it came about", _about(force, about), folded=True),
-        Section("Flags", parts.flag_list(force), folded=True),
-        Section("Verification", parts.verification(force), folded=True),
-        Section("Provenance", parts.provenance_table(force), folded=True),
+        PageSection(f"Result{name}", _picture(force, one, truth, wrenches, frame)),
+        PageSection("Against the truth", _compared(compared)),
+        PageSection("Cautions", parts.cautions(force)),
+        PageSection("How it came about", _about(force, about), folded=True),
+        PageSection("Flags", parts.flag_list(force), folded=True),
+        PageSection("Verification", parts.verification(force), folded=True),
+        PageSection("Provenance", parts.provenance_table(force), folded=True),
     ]
     return _page.document("Contact force map", sections, about=parts.about(force), answer=_answer(force, one))
 

@@ -44,7 +44,7 @@ class Disc:
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class DiscWindow:
     """Loads in a disc: `nodes` (k,), `modes` (k, q) of a pressure of unit size, `columns` (m, 3 q or 6 q) of readings.
 
     Columns are those of modes along x, y, z, and of the error of the mesh; `finer` (k,) is the variance of what is
@@ -78,7 +78,7 @@ class DiscFit:
     places: Array
     thickness: float
     moved: Array
-    _known: dict[Disc, Window] = field(default_factory=dict, init=False)
+    _known: dict[Disc, DiscWindow] = field(default_factory=dict, init=False)
     _products: dict[tuple[Disc | None, Disc | None], Array] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -111,7 +111,7 @@ class DiscFit:
         off = np.abs(STEP * self.thickness * np.array([disc.x, disc.y]))
         return 0 <= disc.radius < self.radii and bool(np.all(off <= self.reach)) and bool(np.any(self.inside(disc)))
 
-    def _made(self, disc: Disc, count: int) -> Window:
+    def _made(self, disc: Disc, count: int) -> DiscWindow:
         nodes = np.flatnonzero(self.inside(disc))
         C = self._covariance(disc, nodes)
         values, vectors = np.linalg.eigh(C)
@@ -119,14 +119,14 @@ class DiscFit:
         modes = vectors[:, kept] * np.sqrt(values[kept])
         columns = [(modes.T @ part[nodes, a]).T for part in self.parts for a in range(3)]
         finer = np.maximum(np.diag(C) - np.sum(modes**2, axis=1), 0.0)
-        return Window(nodes, modes, np.hstack(columns), finer)
+        return DiscWindow(nodes, modes, np.hstack(columns), finer)
 
     def _covariance(self, disc: Disc, nodes: Index) -> Array:
         """Of a pressure of unit size at nodes (k,) of a disc."""
         w = self.inside(disc)[nodes]
         return np.asarray(w[:, None] * (self.problem.prior.matrix[np.ix_(nodes, nodes)] + EVEN) * w)
 
-    def window(self, disc: Disc) -> Window:
+    def window(self, disc: Disc) -> DiscWindow:
         """Loads in a disc, made once."""
         found = self._known.get(disc)
         if found is None:
