@@ -98,7 +98,7 @@ def read_text(path: Path, frequency_unit: str) -> list[Trace]:
         refuse(where, "the headings name no FRFs", ", ".join(names)[:300] or "none",
                "Frequency, and for each FRF Real and Imag, or Magnitude and Phase",
                "name the columns: Frequency [Hz], Real 1+Z/5+Z [(m/s^2)/N], Imag 1+Z/5+Z; loadid.read reads records "
-               "over time")  # fmt: skip
+               "over time, and loadid calibrate makes a model of them")  # fmt: skip
     f = values[:, 0] * _hertz(texts[0] or frequency_unit, where)
     if not np.all(np.diff(f) > 0) or f[0] < 0:
         refuse(where, "the frequencies do not rise", f"{f[0]:g} to {f[-1]:g} Hz", "rising frequencies, not negative")

@@ -56,7 +56,8 @@ def test_missing_file_names_the_nearest(tmp_path):
     (tmp_path / "hammer.csv").write_text(csv())
     with pytest.raises(InputError, match=r"did you mean hammer\.csv"):
         read(tmp_path / "hamer.csv")
-    for bad in (tmp_path, tmp_path / "a\0b.csv", None, 3):
+    (tmp_path / "empty").mkdir()
+    for bad in (tmp_path / "empty", tmp_path / "a\0b.csv", None, 3):
         with pytest.raises(InputError):
             read(bad)
 

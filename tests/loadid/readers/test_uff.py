@@ -113,7 +113,7 @@ def test_info_names_what_is_no_record(place, capsys):
     frf = text58(F + 1j * A, response=("", 1, 3), reference=("", 7, -2), ordinate=(12, "g"), start=20, step=2.5)
     assert main(["info", str(place(block(151, "Beam", "test") + frf, "x.unv"))]) == 0
     text = capsys.readouterr().out
-    for word in ("Beam, test", "1 x FRF", "1+Z [g]", "7-Y [N]", "16 values, 20 to 57.5 Hz", "read_frfs"):
+    for word in ("Beam, test", "1 x FRF", "1+Z [g]", "7-Y [N]", "16 values, 20 to 57.5 Hz", "loadid model import"):
         assert word in text
     assert main(["info", str(place(uff()))]) == 0
     assert "16 samples" in capsys.readouterr().out
