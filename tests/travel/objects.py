@@ -694,6 +694,13 @@ class Shared:
         return found.estimate if isinstance(family, LocationSearch) else found
 
 
+class SharedStream(Shared):
+    """A sensor with one lambda, asked as a stream asks it: by its product alone."""
+
+    def estimate(self, family: Any, k: int) -> Any:
+        return family.follow(self.wrap(self.record * (1 + k / 10)))
+
+
 HIT, TIMED = p.pushed()[0], (DT,)
 SHARED: dict[str, Shared] = {
     **{f"Deconvolution, {path}": Shared(partial(histories, choice=Lambda("gcv", path=path)), HIT, TIMED)
@@ -712,7 +719,7 @@ SHARED: dict[str, Shared] = {
     "LoadTracker": Shared(lambda: LoadTracker(p.housed.__wrapped__(), prior=p.WALK, noise=Noise(p.NOISE)),
                           p.service()[:200], TIMED),
     "MultilayerPad": Shared(padded, p.moved()[1], said=mapped_numbers),
-    "MultilayerPad, frozen": Shared(partial(padded, choice=p.LAM), p.moved()[1], said=mapped_numbers),
+    "MultilayerPad, frozen": SharedStream(partial(padded, choice=p.LAM), p.moved()[1], said=mapped_numbers),
     "GelSlim": Shared(slim, p.moved(1, "standard")[1], said=mapped_numbers),
     "GelForce": Shared(gel, gel_motion(), said=mapped_numbers),
     "LayerSensor": Shared(layered, p.moved()[1], said=mapped_numbers),
