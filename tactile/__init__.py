@@ -35,6 +35,8 @@ _PUBLIC = {
     "MultilayerPad": "tactile._sensors.linear",
     "Pad": "tactile._pad.pad",
     "Press": "tactile._closed.presses",
+    "RigidBody": "tactile._closed.rigid_contact",
+    "RigidContact": "tactile._closed.rigid_contact",
     "Sphere": "tactile._closed.contact",
     "Tolerances": "tactile._pad.tolerances",
     "View": "tactile.vision._eye",
@@ -50,6 +52,7 @@ _PARTS = {
     "material": "tactile.material",
     "metrics": "tactile.metrics",
     "outline": "tactile._pad.body",
+    "shapes": "tactile._closed.shapes",
     "vision": "tactile.vision",
 }
 _UNLISTED = {"Interpolation", "Mindlin", "halfspace", "press_and_slide"}  # imported as in release 0.1

@@ -185,6 +185,16 @@ class LayerGrid:
         waves = np.einsum("yxij,yxj->yxi", symbol, self._padded(self._checked(tractions, "tractions")))
         return self._back(waves)
 
+    def along(self, axes: slice) -> Callable[[Array], Array]:
+        """What gives the motion (ny, nx, axes) of the surface along some axes under tractions along them alone."""
+        symbol = self._symbol[..., axes, axes]
+        return lambda tractions: self._back(np.einsum("yxij,yxj->yxi", symbol, self._padded(tractions)))
+
+    @cached_property
+    def compliance(self) -> Array:
+        """Largest motion of a wave of traction along X, Y and Z (m/Pa), (3,)."""
+        return np.asarray(np.abs(np.einsum("yxii->yxi", self._symbol)).max(axis=(0, 1)))
+
     def tractions(self, displacements: ArrayLike, lam: float = 1e-3) -> Array:
         """Tractions (Pa), (ny, nx, 3), from the motion of the surface (ny, nx, 3) (m), regularised.
 

@@ -92,6 +92,7 @@ from tactile import (
     MultilayerPad,
     Pad,
     Press,
+    RigidBody,
     Sphere,
     Tolerances,
     Wrench,
@@ -647,6 +648,14 @@ add("tactile/GelSlim, friction", partial(slim, contact=ContactLaw(friction=0.6))
 add("tactile/GelForce", gel, partial(frame, u=gel_motion()))
 add("tactile/LayerSensor", layered, partial(frame, u=p.moved()[1]))
 add("tactile/LayerSensor, scattered", partial(layered, True), partial(frame, u=p.moved()[1]))
+
+
+def pressing() -> RigidBody:
+    """A ball over a layer."""
+    grid = LayerGrid(Layer(h=3e-3, E=0.147e6, nu=0.45), (12, 12), 0.3e-3)
+    return RigidBody(grid, (grid.nodes**2).sum(axis=-1) / 1e-2, friction=0.5)
+
+
 add("tactile/map", lambda: padded().estimate(p.moved()[1]), mapped_says)
 add("tactile/map of a frozen pad", lambda: padded(choice=p.LAM).estimate(p.moved()[1]), mapped_says)
 add("tactile/eye", lambda: seen.eye(), watched)
@@ -655,6 +664,12 @@ add("tactile/monitor", monitor, checked)
 add("tactile/layer", lambda: Layer(h=3e-3, E=0.147e6, nu=0.45), moved)
 add("tactile/half-space", lambda: HalfSpace(E=0.147e6, nu=0.49), moved)
 add("tactile/grid", lambda: LayerGrid(Layer(h=3e-3, E=0.147e6, nu=0.45), (8, 8), 1e-3), repr)
+add("tactile/rigid body", lambda: pressing(), lambda b: bits((b.press(depth=2e-4).tractions,)))
+add(
+    "tactile/rigid contact",
+    lambda: pressing().press(depth=2e-4),
+    lambda c: bits((c.drag((1e-5, 0.0), steps=1).tractions,)),
+)
 add("tactile/markers", lambda: Markers(p.moved()[0], 2e-6, "XYZ"), lambda m: bits((m.points, m.noise)))
 add("tactile/interpolation", lambda: Interpolation(*([p.moved()[0]] * 2)), lambda i: bits((i.W, i.flag())))
 add("tactile/press", lambda: p.PRESS)
