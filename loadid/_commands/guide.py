@@ -27,9 +27,10 @@ examples:
   one page for whoever has to accept it
     loadid guide page -o beam.html
 
-The steps: 1 characterise, 2 verify the forward model, 3 loads and sensors, 4 recoverable modes, 5 constraints, 6 penalty,
-7 lambda, 8 the inverse, 9 validation, 10 drift. Steps 3 to 10 are locked until 2 is signed. What a signature stands on is
-hashed again by every command: a change makes it stale, and those after it. The state is one file, NAME.guide.toml.
+The steps: 1 characterise, 2 verify the forward model, 3 loads and sensors, 4 recoverable modes, 5 constraints,
+6 penalty, 7 lambda, 8 the inverse, 9 validation, 10 drift. Steps 3 to 10 are locked until 2 is signed. What a signature
+stands on is hashed again by every command: a change makes it stale, and those after it. The state is one file,
+NAME.guide.toml, beside the job.
 """
 
 
@@ -46,8 +47,13 @@ def _configure(parser: ArgumentParser) -> None:
     signed = parser.add_argument_group("sign")
     signed.add_argument("--evidence", nargs="+", metavar="FILE", default=[],
                         help="logs are read, other files are kept by their sha256")  # fmt: skip
-    signed.add_argument("--truth", type=channels, metavar="CH,...", default=[],
-                        help="channels of the known loads, in the order of the model; default those of the same names")  # fmt: skip
+    signed.add_argument(
+        "--truth",
+        type=channels,
+        metavar="CH,...",
+        default=[],
+        help="channels of the known loads, in the order of the model; default those of the same names",
+    )
     signed.add_argument("--by", metavar="NAME", default="", help="who signs; default the user of the system")
     signed.add_argument("--note", metavar="TEXT", default="", help="words that stand beside the figures")
     signed.add_argument("--preview", action="store_true", help="show the figures, sign nothing")
@@ -90,11 +96,22 @@ def _answer(args: Namespace, guide: Guide, first: list[str], *, whole: bool = Fa
     """The next step with its command; `whole`: then all ten."""
     standing, waits = guide.standing(), guide.next()
     data = {
-        "job": guide.ledger.job, "state": str(guide.path), "seal": guide.ledger.seal,
-        "next": None if waits is None else {"step": waits.step.number, "name": waits.step.name, "state": waits.state,
-                                            "needs": waits.step.needs, "why": list(waits.why), "command": waits.command},
-        "steps": [one.to_dict() for one in standing], **more,
-    }  # fmt: skip
+        "job": guide.ledger.job,
+        "state": str(guide.path),
+        "seal": guide.ledger.seal,
+        "next": None
+        if waits is None
+        else {
+            "step": waits.step.number,
+            "name": waits.step.name,
+            "state": waits.state,
+            "needs": waits.step.needs,
+            "why": list(waits.why),
+            "command": waits.command,
+        },
+        "steps": [one.to_dict() for one in standing],
+        **more,
+    }
     rows = [table([["step", "", "state", "outcome"], *map(_row, standing)])] if whole else []
     emit(args, data, "\n".join([*first, *_waiting(waits), *rows]))
 
@@ -132,16 +149,28 @@ def _sign(args: Namespace) -> int:
         from .._guide.page import in_lines
 
         lines += in_lines(signature)
-    _answer(args, guide if args.preview else changed, lines, signed=None if args.preview else number,
-            signature={"step": number, "said": signature.said, "holds": signature.holds,
-                       "figures": dict(signature.figures), "flags": [dict(flag) for flag in signature.flags]})  # fmt: skip
+    _answer(
+        args,
+        guide if args.preview else changed,
+        lines,
+        signed=None if args.preview else number,
+        signature={
+            "step": number,
+            "said": signature.said,
+            "holds": signature.holds,
+            "figures": dict(signature.figures),
+            "flags": [dict(flag) for flag in signature.flags],
+        },
+    )
     return 0
 
 
 def _page(args: Namespace) -> int:
     guide = _opened(args)
     path = guide.path.with_suffix(".html") if args.output is None else Path(args.output)
-    require_outputs({"-o": path}, [guide.path, guide.path.with_name(guide.ledger.job)], suffixes={"-o": (".html", ".htm")})
+    require_outputs(
+        {"-o": path}, [guide.path, guide.path.with_name(guide.ledger.job)], suffixes={"-o": (".html", ".htm")}
+    )
     storage.replace(path, guide.page().encode())
     waits = guide.next()
     state = "all ten steps signed" if waits is None else f"next: step {waits.step.title} ({waits.state})"

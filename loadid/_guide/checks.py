@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +13,8 @@ from structures._flags import Flag
 from structures.errors import InputError, digests
 
 from .. import _guards as guards
-from ..validate._checks import GAIN
-from .context import GuidedJob
+from ..validate._checks import GAIN, SDS
+from .context import SAMPLES, GuidedJob
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from structures._model import Model
 
     from .._record import Record
-
-SAMPLES = 8  # from which equal columns are the same record, and no coincidence
 
 
 def certified(job: GuidedJob, record: Record) -> Certificate:
@@ -119,13 +118,37 @@ def of_rows(sensors: Mapping[str, Mapping[str, float]], source: str, date: str) 
 def worst(certificate: Certificate) -> str:
     """The sensor that is predicted least well, in words."""
     k = int(np.argmax(certificate.error))
-    return (
-        f"worst sensor {certificate.sensors[k]}: gain {certificate.gain[k]:.4g}, residual {certificate.error[k]:.2%}"
-    )
+    return f"worst sensor {certificate.sensors[k]}: gain {certificate.gain[k]:.4g}, residual {certificate.error[k]:.2%}"
 
 
-def drift(before: Certificate, now: Certificate) -> tuple[dict[str, dict[str, float]], list[str]]:
-    """Gain of every sensor now over its gain when the model was verified, and the sensors beyond `GAIN`.
+@dataclass(frozen=True)
+class GainDrift:
+    """Gains of a certificate over those of an earlier one.
+
+    Parameters
+    ----------
+    table : mapping of str to mapping
+        Of every sensor the figures of `rows`, ``gain_over_step_2`` and, where the noise is known, its ``std``.
+    moved : tuple of str
+        Sensors whose gain has left `GAIN` by more than the noise.
+    most : str
+        The sensor that moved most, beyond its noise.
+    """
+
+    table: dict[str, dict[str, float]]
+    moved: tuple[str, ...]
+    most: str
+
+    @property
+    def said(self) -> str:
+        """The sensor that moved most, in words."""
+        row = self.table[self.most]
+        noise = f" ± {row['std']:.2%}" if "std" in row else ""
+        return f"{row['gain_over_step_2'] - 1:+.2%}{noise} ({self.most})"
+
+
+def drift(before: Certificate, samples: int, now: Certificate, samples_now: int) -> GainDrift:
+    """How far the gains of the sensors have moved, and whether the noise of the two records explains it.
 
     Raises
     ------
@@ -136,12 +159,27 @@ def drift(before: Certificate, now: Certificate) -> tuple[dict[str, dict[str, fl
         raise InputError("the sensors are not those of the certificate of step 2", where="drift",
                          found=", ".join(now.sensors), expected=", ".join(before.sensors),
                          hint="sign step 2 again for the model of these sensors")  # fmt: skip
-    first = dict(zip(before.sensors, before.gain, strict=True))
-    table = {
-        sensor: {**row, "gain_over_step_2": row["gain"] / first[sensor] if first[sensor] else float("inf")}
-        for sensor, row in rows(now).items()
-    }
-    return table, [s for s, row in table.items() if not GAIN[0] <= row["gain_over_step_2"] <= GAIN[1]]
+    first, then, later = (dict(zip(one.sensors, values, strict=True)) for one, values in (
+        (before, before.gain), (before, _noise(before, samples)), (now, _noise(now, samples_now))
+    ))  # fmt: skip
+    table, moved, beyond = rows(now), [], dict[str, float]()
+    for sensor, row in table.items():
+        row["gain_over_step_2"] = ratio = row["gain"] / first[sensor] if first[sensor] else float("inf")
+        std = float(np.hypot(then[sensor], later[sensor]))
+        if std > 0:
+            row["std"] = std
+        beyond[sensor] = abs(ratio - 1) - SDS * std
+        if not GAIN[0] <= ratio <= GAIN[1] and beyond[sensor] > 0:
+            moved.append(sensor)
+    return GainDrift(table, tuple(moved), max(beyond, key=lambda sensor: beyond[sensor]))
+
+
+def _noise(one: Certificate, samples: int) -> tuple[float, ...]:
+    """Relative std of the gain of every sensor by the noise of its record; 0 where it is not known."""
+    if one.noise_ratio is None:
+        return (0.0,) * len(one.sensors)
+    pairs = zip(one.error, one.noise_ratio, strict=True)
+    return tuple(error / ratio / np.sqrt(samples) if ratio > 0 else 0.0 for error, ratio in pairs)
 
 
 def watched(job: GuidedJob, record: Record) -> list[Flag]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from structures import Channel
-from structures.errors import InputError
+from structures.errors import InputError, digests
 from structures.files import _storage as storage
 
 from .._commands import _inputs as inputs
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
+SAMPLES = 8  # from which equal columns are the same record, and no coincidence
 MODELS = (".h5", ".hdf5")
 SUM = "sum"  # resultant of loads of one unit, where no basis names others
 ONE_READING = 1.0  # s, the step of a record of a single reading, which nothing asks for
@@ -124,6 +125,15 @@ class GuidedJob:
             )  # fmt: skip
         return found
 
+    @cached_property
+    def inverted(self) -> frozenset[str]:
+        """Digests of the responses of the log: those that lambda was chosen on; of a single reading none."""
+        from .._record import Record
+
+        if not isinstance(self.log, Record) or len(self.log) < SAMPLES:
+            return frozenset()
+        return frozenset(digests(self.responses(self.log).values))
+
     @property
     def options(self) -> dict[str, Any]:
         """Settings of the family, as the job gives them."""
@@ -140,9 +150,17 @@ class GuidedJob:
         options = {**self.options, **override}
         if found is not None:  # its readings are averaged already
             options = {name: value for name, value in options.items() if name not in ("at", "mean")}
-        given = identify(self.log if found is None else found, self.model, family=self.family,
-                         responses=self.job.get("responses"), **options)  # fmt: skip
-        return given  # type: ignore[no-any-return]
+            found = self._as_read(found)
+        answer: LoadEstimate = identify(self.log if found is None else found, self.model, family=self.family,
+                                        responses=self.job.get("responses"), **options)  # fmt: skip
+        return answer
+
+    def _as_read(self, record: Record) -> Any:
+        """A record as a family takes it: a single reading by sensor."""
+        if not self.static or len(record) > 1:
+            return record
+        responses = self.responses(record)
+        return dict(zip(responses.labels, responses.values[0].tolist(), strict=True))
 
     # -- evidence -----------------------------------------------------------------------------------------------------
     def record(self, path: Path) -> Record:
@@ -174,7 +192,7 @@ class GuidedJob:
         )
 
     def _mean(self, record: Record) -> Record:
-        settings = {name: self.job[name] for name in ("at", "mean") if name in self.job}
+        settings: dict[str, Any] = {name: self.job[name] for name in ("at", "mean") if name in self.job}
         if not settings:
             return record
         means = inputs.reading(record, settings)
@@ -221,9 +239,13 @@ def _column(record: Record, label: str, load: Any) -> NDArray[np.float64]:
     k = record.index(label)
     channel, column = record.channels[k], record.values[:, k]
     if "arbitrary" not in (channel.unit, load.unit) and channel.unit != load.unit:
-        raise InputError(f"channel {label!r} is in another unit than the load {load.label!r}", where=record.name,
-                         found=channel.unit, expected=load.unit,
-                         hint=f"name the channel of the load (--truth), or its unit (--unit {label}={load.unit})")  # fmt: skip
+        raise InputError(
+            f"channel {label!r} is in another unit than the load {load.label!r}",
+            where=record.name,
+            found=channel.unit,
+            expected=load.unit,
+            hint=f"name the channel of the load (--truth), or its unit (--unit {label}={load.unit})",
+        )
     if not np.all(np.isfinite(column)):
         raise InputError(f"the known load {label!r} has gaps", where=record.name,
                          found=f"{int(np.sum(~np.isfinite(column)))} missing samples", expected="a complete channel",

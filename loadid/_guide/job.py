@@ -199,7 +199,9 @@ class Guide:
             families. Nothing is written then.
         """
         from .context import GuidedJob, Reading
-        from .figures import Asked, certificate, compute, tidied
+        from .figures import compute
+        from .models import certificate
+        from .outcome import Asked, tidied
 
         one, who = step(number), _short(by.strip() or _user(), "--by")
         _short(note, "--note")
@@ -210,8 +212,13 @@ class Guide:
             latest, old = now.ledger.latest(), stale(now.ledger, now.job, now.folder)
             if (locked := lock(number, latest, old)) is not None:
                 before, why = locked
-                raise InputError(f"step {one.title} is {why}", where="loadid guide sign", found="nothing was signed",
-                                 expected=f"step {before}, signed and standing", hint=now.command(step(before)))  # fmt: skip
+                raise InputError(
+                    f"step {one.title} is {why}",
+                    where="loadid guide sign",
+                    found="nothing was signed",
+                    expected=f"step {before}, signed and standing",
+                    hint=now.command(step(before)),
+                )
             stood = files_of(number, now.job, now.folder)
             known = certificate(latest[VERIFY]) if VERIFY in latest and number > VERIFY else None
             job = GuidedJob(now.job, Reading(dict(reading or {}), record, tuple(truth)), known)
@@ -258,8 +265,13 @@ def _only_one() -> Path:
     if len(found) == 1:
         return found[0]
     if not found:
-        raise InputError("no guide is here", where=str(Path.cwd()), found=f"no file *{SUFFIX}",
-                         expected="the folder of a job", hint="loadid guide new JOB.toml, or --job JOB.toml")  # fmt: skip
+        raise InputError(
+            "no guide is here",
+            where=str(Path.cwd()),
+            found=f"no file *{SUFFIX}",
+            expected="the folder of a job",
+            hint="loadid guide new JOB.toml, or --job JOB.toml",
+        )
     raise InputError("several guides are here", where=str(Path.cwd()), found=", ".join(path.name for path in found[:8]),
                      expected="one", hint=f"name it: --job {found[0].name}")  # fmt: skip
 
@@ -280,9 +292,13 @@ def _settled(path: Path) -> dict[str, Any]:
 
 def _write_job(path: Path, log: str | None, model: str | None) -> None:
     if path.exists():
-        raise InputError("the job file names its own log and model", where=str(path), found="--log or --model beside it",
-                         expected="a job file that is not there yet",
-                         hint="leave --log and --model out, or edit the job file")  # fmt: skip
+        raise InputError(
+            "the job file names its own log and model",
+            where=str(path),
+            found="--log or --model beside it",
+            expected="a job file that is not there yet",
+            hint="leave --log and --model out, or edit the job file",
+        )
     if log is None or model is None:
         raise InputError("a job needs both", where="loadid guide new", found="--model" if log is None else "--log",
                          expected="--log LOG --model MODEL", hint="give both")  # fmt: skip

@@ -1,7 +1,7 @@
 """The signatures of a job in one TOML file: readable, only ever added to, and refused where a single sign was changed.
 
-Every signature carries the sha256 of its content and of the one before; the head carries the seal over all of them. What
-stands in ``[about]`` is free words: it is not signed, and may be edited.
+Every signature carries the sha256 of its content and of the one before; the head carries the seal over all of them.
+What stands in ``[about]`` is free words: it is not signed, and may be edited.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ class Signature:
 
 
 TABLES = ("figures", "files", "evidence", "settings", "after")
-TYPES = {"step": int, "holds": bool} | {
-    name: str for name in ("said", "by", "date", "version", "note", "previous", "checksum")
-}
+TYPES = {"step": int, "holds": bool} | dict.fromkeys(
+    ("said", "by", "date", "version", "note", "previous", "checksum"), str
+)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,8 @@ class Ledger:
 
     def latest(self) -> dict[int, Signature]:
         """The last signature of every step that has one, by step."""
-        return dict(sorted((one.step, one) for one in self.signatures))
+        found = {one.step: one for one in self.signatures}
+        return {number: found[number] for number in sorted(found)}
 
     def with_signature(self, signature: Signature) -> Ledger:
         """The ledger with one more."""

@@ -3,9 +3,9 @@
 The singular vectors of a convolution over a record are those of its frequency lines, so that each line has the singular
 values of its FRF; what of the response lies beyond the record, the estimate adds, folded back to its start. Data
 coefficients of all lines, in order of falling singular values, are a Picard plot of the record (P. C. Hansen, Discrete
-Inverse Problems, SIAM 2010, ch. 3). A load need not fall with the singular values of its lines: a blow has most where an
-accelerometer sees least. So modes are counted that stand above a noise that is known; where it is not, the plateau of
-the coefficients is looked for, as in all families.
+Inverse Problems, SIAM 2010, ch. 3). A load need not fall with the singular values of its lines: a blow has most where
+an accelerometer sees least. So modes are counted that stand above a noise that is known; where it is not, the plateau
+of the coefficients is looked for, as in all families.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The guide as one page that stands alone: the answer, every step with its figures, evidence and flags, what is open."""
+"""The guide as one page that stands alone: the answer, every step with figures, evidence and flags, what is open."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .._page import Html, PageSection
 from .._page.chart import Chart, Curve
 from .._results.summary import number
 from .ledger import Signature, hashed
-from .recipe import STEPS, VALIDATE, VERIFY
+from .recipe import CANDIDATES, STEPS, VALIDATE, VERIFY
 
 if TYPE_CHECKING:
     from .job import Guide, StepStanding
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 DONE, FAULTY = "signed", ("stale", "does not hold")
 CURVES = "picard"  # figures that are drawn, not listed
 DIGITS = 5
+UNITS = {"_hz": ", Hz", "_per_s": ", 1/s"}  # ends of the names of figures
 
 
 def document(guide: Guide) -> str:
@@ -32,14 +33,20 @@ def document(guide: Guide) -> str:
         PageSection("The job", _job(guide)),
         PageSection("The ten steps", _overview(standing)),
         PageSection("What was not done", _open(standing)),
+        PageSection("Signed with cautions", _cautions(standing)),
         *(PageSection(f"Step {one.step.title}", _step(one)) for one in standing if one.signature is not None),
         PageSection("Every signature that was ever made", _history(guide), folded=True),
         PageSection("How to check this page", _how(guide)),
     ]
     about = " · ".join(part for part in (guide.ledger.about.get("structure", ""), f"job {guide.ledger.job}",
                                          f"loadid {__version__}") if part)  # fmt: skip
-    return pages.document("Load identification: ten steps, signed", sections, about=about,
-                          note=f"{guide.ledger.job}  |  seal {guide.ledger.seal[:16]}", answer=_answer(standing))  # fmt: skip
+    return pages.document(
+        "Load identification: ten steps, signed",
+        sections,
+        about=about,
+        note=f"{guide.ledger.job}  |  seal {guide.ledger.seal[:16]}",
+        answer=_answer(standing),
+    )
 
 
 # -- the answer --------------------------------------------------------------------------------------------------------
@@ -54,8 +61,15 @@ def _answer(standing: Sequence[StepStanding]) -> Html:
     notices = [pages.part("notice", f"Step {one.step.title} {_words(one)}", "", "alert") for one in faulty]
     verified = next(one for one in standing if one.step.number == VERIFY)
     if verified.signature is None:
-        notices.insert(0, pages.part("notice", "The forward model is not verified: nothing below it can be trusted.", "",
-                                     "alert"))  # fmt: skip
+        notices.insert(
+            0, pages.part("notice", "The forward model is not verified: nothing below it can be trusted.", "", "alert")
+        )
+    warned = [one.step.title for one in good if one.signature is not None
+              and any(flag.get("level") != "note" for flag in one.signature.flags)]  # fmt: skip
+    if warned:
+        notices.append(
+            pages.part("notice", f"Signed with cautions, which are listed below: step {', step '.join(warned)}.")
+        )
     whole = not faulty and not waits
     end = pages.part("notice", "All ten steps are signed, and everything that they stand on is as it was.", "good")
     return pages.joined(pages.part("cards", cards), *notices, end if whole else "")
@@ -98,12 +112,22 @@ def _now(guide: Guide, name: str) -> str:
 
 
 def _overview(standing: Sequence[StepStanding]) -> Html:
+    rows = [(str(one.step.number), one.state, f"{one.step.name}{_outcome(one)}") for one in standing]
+    return pages.table(rows, ("", "state", "step and outcome"))
+
+
+def _outcome(one: StepStanding) -> str:
+    signature = one.signature
+    return "" if signature is None else f": {signature.said} ({signature.by}, {signature.date[:10]})"
+
+
+def _cautions(standing: Sequence[StepStanding]) -> Html | str:
+    """Warnings of the guards that signatures carry, step by step."""
     rows = [
-        (one.step.title, one.state, "" if one.signature is None else one.signature.said,
-         "" if one.signature is None else f"{one.signature.by}, {one.signature.date[:10]}")
-        for one in standing
+        (one.step.title, flag.get("code", ""), f"{flag.get('message', '')}. What to do: {flag.get('advice', '')}")
+        for one in standing if one.signature is not None for flag in one.signature.flags if flag.get("level") != "note"
     ]  # fmt: skip
-    return pages.table(rows, ("step", "state", "outcome", "signed"))
+    return pages.table(rows, ("step", "code", "what a guard warns of")) if rows else ""
 
 
 def _open(standing: Sequence[StepStanding]) -> Html:
@@ -112,13 +136,21 @@ def _open(standing: Sequence[StepStanding]) -> Html:
     lines += [f"Step {one.step.title} must be signed again: {'; '.join(one.why)}." for one in standing
               if one.signature is not None and one.state in FAULTY]  # fmt: skip
     validated = standing[VALIDATE - 1].signature
+    candidates = standing[CANDIDATES - 1].signature
+    loads = {} if candidates is None else candidates.figures.get("loads", {})
+    if validated is not None and "resultant" not in validated.figures.get("kinds", ()) and len(loads) > 1:
+        lines.append("No resultant of the load was held against anything that is known.")
     if validated is not None and validated.figures.get("partial"):
         lines.append("The distribution of the load was not held against anything that is known: infinitely many "
                      "distributions have the same resultant.")  # fmt: skip
     for one in standing:
         if one.signature is not None and not _computed(one.signature):
-            lines.append(f"Step {one.step.title}: the evidence was attached as it is; the package computed nothing of it.")
-    return pages.part("listed", lines) if lines else pages.paragraphs("Every step is signed, and every signature stands.")
+            lines.append(
+                f"Step {one.step.title}: the evidence was attached as it is; the package computed nothing of it."
+            )
+    return (
+        pages.part("listed", lines) if lines else pages.paragraphs("Every step is signed, and every signature stands.")
+    )
 
 
 def _computed(one: Signature) -> bool:
@@ -164,7 +196,8 @@ def _nested(tree: Mapping[str, Any]) -> Html:
 
 
 def _title(name: str) -> str:
-    return name.replace("_", " ")
+    end = next((end for end in UNITS if name.endswith(end)), "")
+    return name.removesuffix(end).replace("_", " ") + UNITS.get(end, "")
 
 
 def _value(value: Any) -> str:
@@ -185,16 +218,28 @@ def _picard(curves: Mapping[str, Any]) -> Html | str:
     top = float(beta.max(initial=0.0)) or 1.0
     i = np.linspace(0.0, 1.0, len(sigma))
     shown = [np.where(y > 1e-17, y, np.nan) for y in (sigma, beta / top)]
-    return pages.drawn(Chart(
-        title="Picard plot", x_name="share of the modes, by falling singular value", y_name="relative to the largest", x=i,
-        curves=[Curve("singular value", shown[0], "estimate"), Curve("data coefficient |u·y|", shown[1], "other4", True)],
-        y_log=True, said="Picard plot: singular values and data coefficients of the modes",
-    ))  # fmt: skip
+    return pages.drawn(
+        Chart(
+            title="Picard plot",
+            x_name="share of the modes, by falling singular value",
+            y_name="relative to the largest",
+            x=i,
+            curves=[
+                Curve("singular value", shown[0], "estimate"),
+                Curve("data coefficient |u·y|", shown[1], "other4", True),
+            ],
+            y_log=True,
+            said="Picard plot: singular values and data coefficients of the modes",
+        )
+    )
 
 
 def _files(one: Signature) -> Html:
-    rows = [(kind, name, digest) for kind, files in (("evidence", one.evidence), ("stands on", one.files))
-            for name, digest in files.items()]  # fmt: skip
+    rows = [
+        (kind, name, digest)
+        for kind, files in (("evidence", one.evidence), ("stands on", one.files))
+        for name, digest in files.items()
+    ]
     return pages.table(rows, ("", "file", "sha256")) if rows else pages.part("quiet", "no file")
 
 
@@ -216,7 +261,16 @@ def _meaning(code: str) -> str:
 
 def _history(guide: Guide) -> Html | str:
     rows = [
-        (str(k), f"{one.step}", one.date, one.by, one.version, "yes" if one.holds else "NO", one.said, one.checksum[:16])
+        (
+            str(k),
+            f"{one.step}",
+            one.date,
+            one.by,
+            one.version,
+            "yes" if one.holds else "NO",
+            one.said,
+            one.checksum[:16],
+        )
         for k, one in enumerate(guide.ledger.signatures, 1)
     ]
     head = ("", "step", "date", "by", "version", "holds", "outcome", "checksum")
@@ -227,14 +281,14 @@ def _how(guide: Guide) -> Html:
     return pages.joined(
         pages.paragraphs(
             f"This page was written from {guide.path.name}. Its seal is {guide.ledger.seal}: the sha256 over every "
-            "signature in order. Each signature carries the sha256 of its figures and of the signature before it, so that "
-            "none can be changed, taken out or put in between without a trace.",
+            "signature in order. Each signature carries the sha256 of its figures and of the signature before it, so "
+            "that none can be changed, taken out or put in between without a trace.",
             "The checksums tell of changes, not of persons: who signed is what was stated at the time.",
-            f"In the folder of the job, loadid guide status --job {guide.ledger.job} hashes every file again and says which "
-            "signatures still stand; sha256sum FILE gives the hashes that are listed here.",
+            f"In the folder of the job, loadid guide status --job {guide.ledger.job} hashes every file again and says "
+            "which signatures still stand; sha256sum FILE gives the hashes that are listed here.",
             f"Figures were computed by the package. Steps: {', '.join(one.title for one in STEPS)}.",
         )
-    )  # fmt: skip
+    )
 
 
 def in_lines(one: Signature) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from structures._advice import did_you_mean
 from structures.errors import InputError
 
-VERIFY, FREEZE, INVERSE, VALIDATE, DRIFT = 2, 7, 8, 9, 10
+VERIFY, CANDIDATES, FREEZE, INVERSE, VALIDATE = 2, 3, 7, 8, 9
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,10 @@ def number_of(text: str) -> int:
     for one in STEPS:
         if word in (str(one.number), one.name.lower()):
             return one.number
-    raise InputError("there is no such step", where="loadid guide sign", found=repr(text)[:80],
-                     expected="a number from 1 to 10",
-                     hint="loadid guide status lists them" + did_you_mean(word, [one.name for one in STEPS]))  # fmt: skip
+    raise InputError(
+        "there is no such step",
+        where="loadid guide sign",
+        found=repr(text)[:80],
+        expected="a number from 1 to 10",
+        hint="loadid guide status lists them" + did_you_mean(word, [one.name for one in STEPS]),
+    )

@@ -41,8 +41,12 @@ def files_of(number: int, job: Mapping[str, Any], folder: Path) -> dict[str, str
         if name not in step(number).stands_on:
             continue
         if name not in job:
-            raise InputError(f"the job names no {name}", where=f"step {step(number).title}",
-                             expected=f'{name} = "FILE" in the job', hint="add the line; nothing was signed")  # fmt: skip
+            raise InputError(
+                f"the job names no {name}",
+                where=f"step {step(number).title}",
+                expected=f'{name} = "FILE" in the job',
+                hint="add the line; nothing was signed",
+            )
         found[relative(job[name], folder)] = hashed(job[name])
     return found
 
@@ -113,9 +117,7 @@ def _resigned(one: Signature, latest: Mapping[int, Signature]) -> list[str]:
 
 
 # -- what may be signed ------------------------------------------------------------------------------------------------
-def lock(
-    number: int, latest: Mapping[int, Signature], stale_steps: Mapping[int, list[str]]
-) -> tuple[int, str] | None:
+def lock(number: int, latest: Mapping[int, Signature], stale_steps: Mapping[int, list[str]]) -> tuple[int, str] | None:
     """The step that must be signed first, and why; None where a step can be signed."""
     needed = [VERIFY] if number > VERIFY else []
     needed += [FREEZE] if number >= INVERSE else []

@@ -38,19 +38,21 @@ def validated(job: GuidedJob, paths: Sequence[Path], frozen: Mapping[str, Any]) 
         references = [*_references(job, record, e)]
         if not references:
             raise InputError(
-                "the record holds nothing that is known of its load", where=path.name,
+                "the record holds nothing that is known of its load",
+                where=path.name,
                 found=f"channels {', '.join(record.labels)}",
-                expected=f"channels named as loads ({', '.join(c.label for c in job.model.loads[:6])}) or as resultants "
-                f"({', '.join(_weights(job))})",
+                expected=f"channels named as loads ({', '.join(c.label for c in job.model.loads[:6])}) or as "
+                f"resultants ({', '.join(_weights(job))})",
                 hint="name the channels with --truth CH,..., or keep sensors out with validation in the job",
-            )  # fmt: skip
+            )
         found = validate(e, *references)
         checks += found.checks
         raised += found.flags
         responses = job.responses(record)
         if record.simulated_by:
             beside.append(guards.inverse_crime(record.simulated_by, job.model.fingerprint))
-        beside.append(guards.used_for_training(path.name, set(digests(responses.values)) & job.model.training))
+        seen = {*job.model.training, *job.inverted}
+        beside.append(guards.used_for_training(path.name, set(digests(responses.values)) & seen))
     return (
         Validation(tuple(checks), _open(raised, checks), datetime.now(UTC).isoformat(timespec="seconds")),
         list(guards.collect(beside)),
