@@ -58,6 +58,23 @@ class Reading:
         return {**self.given, **record, **truth}
 
 
+def require_lambda(family: str) -> str:
+    """The family, if it has a lambda that can be frozen.
+
+    Raises
+    ------
+    InputError
+        It has none, or finds a place before a load.
+    """
+    if "choice" not in known(family) or family == "location":
+        raise InputError(
+            "this family has no lambda that could be frozen", where="family of the job", found=family,
+            expected="static, deconvolution, field, sparse, frequency or harmonic",
+            hint="a tracker is tuned once and watched by loadid track; a location is found before its load",
+        )  # fmt: skip
+    return family
+
+
 class GuidedJob:
     """A job as files: read when they are asked for, once.
 
@@ -116,14 +133,7 @@ class GuidedJob:
             One without a lambda that can be frozen.
         """
         named = str(self.job.get("family", "auto"))
-        found = plain_family(self.model, self.log) if named == "auto" else named
-        if "choice" not in known(found) or found == "location":
-            raise InputError(
-                "this family has no lambda that could be frozen", where="family of the job", found=found,
-                expected="static, deconvolution, field, sparse, frequency or harmonic",
-                hint="a tracker is tuned once and watched by loadid track; a location is found before its load",
-            )  # fmt: skip
-        return found
+        return require_lambda(plain_family(self.model, self.log) if named == "auto" else named)
 
     @cached_property
     def inverted(self) -> frozenset[str]:

@@ -196,9 +196,9 @@ def read(path: Path) -> Ledger:
         missing; a file that was cut.
     """
     content = _content(path)
-    tree = _toml.load(path, "the guide of this job is damaged: it is no TOML", MEND)
-    if not content.endswith(f"{LAST}\n"):
+    if not content.endswith(f"\n{LAST}\n"):
         _damaged(path, "its end is missing: the file was cut", repr(content[-30:]), repr(LAST))
+    tree = _toml.load(path, "the guide of this job is damaged: it is no TOML", MEND)
     _only(path, tree, HEAD, "the head")
     if tree.get("format") != FORMAT:
         _damaged(path, "unknown format", repr(tree.get("format"))[:40], f"format = {FORMAT}",
