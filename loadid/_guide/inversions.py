@@ -56,7 +56,7 @@ def recoverable(asked: Asked) -> Outcome:
         figures |= {"recoverable_modes": d.plateau, "of_modes": d.seen, "noise_floor": d.floor, "decay": str(d.decay),
                     "cross_talk": e.facts.get("cross_talk")}  # fmt: skip
         seen = slice(0, d.seen)
-        figures["picard"] = {"singular_values": _thinned((d.generalised / d.scale)[seen]),
+        figures["picard"] = {"singular_values": _thinned(np.minimum(d.generalised / d.scale, 1.0)[seen]),
                              "coefficients": _thinned(d.coefficients[seen])}  # fmt: skip
         said = f"{d.plateau} of {d.seen} modes are recoverable; rank {d.rank}, nullity {d.nullity}"
     elif e.spectrum is not None:

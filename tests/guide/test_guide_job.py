@@ -183,7 +183,11 @@ def test_a_hit_from_new_to_page_by_commands_alone(tmp_path: Path, monkeypatch: A
     assert signed[10]["figures"]["largest_drift"] == pytest.approx(0.0, abs=0.01)
     assert status(capsys)["next"] is None
     assert guide("page", "-o", "beam.html") == 0
-    assert "10 of 10" in (tmp_path / "beam.html").read_text("utf-8")
+    page = (tmp_path / "beam.html").read_text("utf-8")
+    assert "10 of 10" in page
+    assert "Signed with cautions, which are listed below: step 7 lambda, then frozen" in page  # the rules disagree
+    assert signed[7]["figures"]["verdict"] == "not determined"
+    assert "agreement of the rules" in page
 
 
 def test_modes_of_a_record_are_those_of_the_dense_matrix() -> None:

@@ -46,9 +46,9 @@ def test_a_finished_job_says_who_signed_what_on_which_files(wing: Path) -> None:
     assert page.count("signed by A. Engineer on ") == 10
     assert "wing of &lt;b&gt;6 m&lt;/b&gt;" in page
     assert "<b>6 m</b>" not in page
-    assert "LID-W407" in page  # the rules disagree, and the page says so at its head
-    assert "Signed with cautions" in page
-    assert "agreement of the rules" in page
+    assert "LID-W105 note" in page
+    assert "1 of 12 loads next to a support" in page
+    assert "Signed with cautions" not in page  # notes are none
 
 
 def test_stale_steps_and_what_was_not_done_are_named(begun: Path) -> None:
