@@ -10,13 +10,12 @@ from .._commands._settings import load_family
 from .._commands.identify import family_settings
 
 if TYPE_CHECKING:
-    from .._families.frozen import Frozen
     from .context import GuidedJob
 
 BESIDE = ("validation", "at", "mean", "noise")  # settings of a job that the family itself does not take
 
 
-def frozen_inverse(job: GuidedJob, frozen: Mapping[str, Any]) -> Frozen:
+def frozen_inverse(job: GuidedJob, frozen: Mapping[str, Any]) -> Any:
     """`StaticInversion.freeze` of the settings of a job.
 
     Raises
@@ -34,5 +33,4 @@ def frozen_inverse(job: GuidedJob, frozen: Mapping[str, Any]) -> Frozen:
     if options.get("noise") is not None:
         settings["noise"] = inputs.noise(options["noise"], labels, used)
     chosen = load_family("static")
-    made: Frozen = chosen(job.model, **family_settings(settings, chosen, job.model)).freeze()
-    return made
+    return chosen(job.model, **family_settings(settings, chosen, job.model)).freeze()

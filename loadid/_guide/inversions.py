@@ -186,6 +186,10 @@ def froze(asked: Asked) -> Outcome:
     if own.choice is not None and e.choice is not None and own.choice.rule != e.choice.rule:
         moved = float(np.linalg.norm(e.load - own.load) / max(float(np.linalg.norm(own.load)), 1e-300))
         figures["own_choice"] = {"rule": own.choice.rule, "lam": own.choice.lam, "load_differs_by": moved}
+    if job.job.get("choice") is None and figures.get("rule") != "discrepancy":
+        figures["discrepancy"] = (
+            "not asked: no noise level but that of the residual; a record without load would tell one"
+        )
     if noise:
         figures["noise"] = noise["noise"]
     figures["residual_share"] = residual_share(e)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -163,7 +164,7 @@ class Guide:
 
     def command(self, one: RecipeStep) -> str:
         """What a user types to sign a step."""
-        job = self.ledger.job
+        job = shlex.quote(os.path.relpath(self.path.with_name(self.ledger.job)))
         return f"loadid guide sign {one.number} --job {job}" + (f" --evidence {one.evidence}" if one.evidence else "")
 
     # -- signed -------------------------------------------------------------------------------------------------------

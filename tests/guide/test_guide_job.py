@@ -281,6 +281,15 @@ def test_a_mistake_is_answered_with_what_to_do(wing: Path, capsys: Any, words: l
     assert (wing / "wing.guide.toml").read_bytes() == before
 
 
+def test_the_line_to_type_is_right_from_another_folder(wing: Path, monkeypatch: Any, capsys: Any) -> None:
+    (wing / "report.pdf").write_bytes(b"another")
+    monkeypatch.chdir(wing.parent)
+    answer = status(capsys, "--job", "job/wing.toml")
+    assert answer["next"]["command"] == "loadid guide sign 1 --job job/wing.toml --evidence FILE..."
+    assert guide("sign", 1, "--job", "job/wing.toml", "--evidence", "job/report.pdf") == 0
+    assert state(wing)[1]["evidence"].keys() == {"report.pdf"}
+
+
 def test_what_the_guide_does_not_take_is_refused_by_name(begun: Path, capsys: Any) -> None:
     (begun / "pad.toml").write_text('log = "service.csv"\nmodel = "gel/pad.toml"\n')
     assert guide("new", "pad.toml") == 3
