@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 8  # from which equal columns are the same record, and no coincidence
 MODELS = (".h5", ".hdf5")
+AMPLITUDES = ("harmonic",)  # families whose loads are amplitudes with a phase
 SUM = "sum"  # resultant of loads of one unit, where no basis names others
 ONE_READING = 1.0  # s, the step of a record of a single reading, which nothing asks for
 

@@ -16,7 +16,7 @@ from structures.errors import InputError
 from .._commands._job import resolved
 from .._commands._settings import CONSTRAINTS, known
 from .._results.summary import UNEXPLAINED
-from .context import GuidedJob
+from .context import AMPLITUDES, GuidedJob
 from .outcome import Asked, Outcome
 from .recipe import FREEZE
 
@@ -69,8 +69,11 @@ def recoverable(asked: Asked) -> Outcome:
             "largest_condition": fine.max(initial=1.0),
         }
         said = f"{known_lines} of {len(trusted)} lines tell every load to {e.spectrum.level:.0%}"
-    else:
+    elif e.axis is not None and e.axis.name == "time":
         said = _histories(asked.job, e, figures)
+    else:
+        known_facts = [f"{name} {figures[name]:.4g}" for name in ("rank", "nullity", "edf") if name in figures]
+        said = f"{', '.join(known_facts)}: no modes are counted of amplitudes on one line"
     return Outcome(said, figures, _shown(4, e))
 
 
@@ -110,6 +113,8 @@ def constrained(asked: Asked) -> Outcome:
     given = {name: settings[name] for name in CONSTRAINTS if settings.get(name)}
     e = found_by_rule(job)
     figures: dict[str, Any] = {"constraints": given or "none", "residual_share": residual_share(e)}
+    if not given and job.family in AMPLITUDES:
+        return Outcome("no constraint; amplitudes have a phase and no sign", figures)
     if not given:
         load = np.real(np.asarray(e.load))
         figures["negative_share_of_the_load"] = float(np.sum(load[load < 0] ** 2) / max(float(np.sum(load**2)), 1e-300))

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from structures.errors import InputError
+from structures.errors import InputError, digests
 
 from .. import _guards as guards
 from .checks import certified, of_rows, rows, worst
-from .context import MODELS
+from .context import MODELS, GuidedJob
 from .ledger import Signature, hashed
 from .outcome import Asked, Outcome
 from .recipe import VERIFY
@@ -53,7 +53,22 @@ def characterised(asked: Asked) -> Outcome:
         said += (
             f"; furthest from a test by {max(abs(row['difference']) for row in compared.values()):.2%} of a frequency"
         )
+    made_from = {path.name: {"in_the_model": found} for path in asked.records
+                 if (found := _made_from(asked.job, path)) is not None}  # fmt: skip
+    if made_from:
+        figures["made_from"] = made_from
     return Outcome(said, figures, model.flags)
+
+
+def _made_from(job: GuidedJob, path: Path) -> bool | None:
+    """Whether the model was made from a record; None where that cannot be told: no log of its sensors."""
+    if not job.model.training or _is_model(path):
+        return None
+    try:
+        responses = job.responses(job.record(path))
+    except InputError:  # a tensile test, say
+        return None
+    return bool(job.model.training & set(digests(responses.values)))
 
 
 def _count(many: int, word: str) -> str:

@@ -155,7 +155,7 @@ def _open(standing: Sequence[StepStanding]) -> Html:
 
 def _computed(one: Signature) -> bool:
     """Whether figures beside those of the model came of the evidence."""
-    return one.step != 1 or "against_a_test" in one.figures
+    return one.step != 1 or "against_a_test" in one.figures or "made_from" in one.figures
 
 
 def _step(one: StepStanding) -> Html:

@@ -14,7 +14,7 @@ from structures.errors import InputError, digests
 
 from .. import _guards as guards
 from ..validate import Known, ReferenceWrench, Validation, held_out, validate
-from .context import SUM, GuidedJob
+from .context import AMPLITUDES, SUM, GuidedJob
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,6 +31,10 @@ def validated(job: GuidedJob, paths: Sequence[Path], frozen: Mapping[str, Any]) 
     InputError
         A record that holds nothing known of its load.
     """
+    if job.family in AMPLITUDES:
+        raise InputError("amplitudes have no level of validation", where="step 9 of the guide", found=job.family,
+                         expected="loads over time, or static ones",
+                         hint="validate a job over time, or leave step 9 open")  # fmt: skip
     checks, raised, beside = list[Any](), list[Flag](), list[Flag | None]()
     for path in paths:
         record = job.record(path)

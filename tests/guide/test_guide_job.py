@@ -160,6 +160,11 @@ def test_the_record_that_made_the_model_does_not_verify_it(tmp_path: Path, monke
     hits = ["hit1.csv", "hit2.csv"]
     assert cli.main(["calibrate", *hits, "--force", "hammer", "--response", "acc1,acc2", "-o", "m.h5"]) == 0
     assert guide("new", "job.toml", "--log", "unknown.csv", "--model", "m.h5") == 0
+    assert guide("sign", 1, "--evidence", *hits, "hit3.csv") == 0
+    made = state(tmp_path, "job")[1]["figures"]["made_from"]
+    assert {name: row["in_the_model"] for name, row in made.items()} == {
+        "hit1.csv": True, "hit2.csv": True, "hit3.csv": False,
+    }  # fmt: skip
     assert guide("sign", 2, "--evidence", "hit1.csv", "--truth", "hammer") == 3
     assert "made from this very record" in capsys.readouterr().err
     assert guide("sign", 2, "--evidence", "hit3.csv", "--truth", "hammer") == 0
