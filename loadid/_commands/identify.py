@@ -141,6 +141,17 @@ def family_of(family: str, settings: Mapping[str, Any], model: Model, found: Any
     taken = known("auto")
     if all(name in taken or name in ("progress", "constraints") for name in settings):
         return family
+    return plain_family(model, found)
+
+
+def plain_family(model: Model, found: Any) -> str:
+    """The plain family of some data: ``"static"``, ``"frequency"`` or ``"deconvolution"``.
+
+    Raises
+    ------
+    InputError
+        Data that none takes.
+    """
     from .._families.automatic import kind_of
 
     return {"static": "static", "lines": "frequency", "history": "deconvolution"}[kind_of(model, found)]
@@ -170,7 +181,7 @@ def _estimated(family: str, found: Any, model: Model, responses: Sequence[str] |
         settings.setdefault("noise_source", "residual")
     elif isinstance(found, Mapping) and "sensors" in settings:
         found = {label: found[label] for label in used if label in found}
-    made = chosen(model, **_given(settings, chosen, model), progress=progress)
+    made = chosen(model, **family_settings(settings, chosen, model), progress=progress)
     if family == "tracker":
         from .._families.recommend import smoothed
 
@@ -204,7 +215,7 @@ def job(args: Namespace) -> dict[str, Any]:
     return {**{name: values.get(name) for name in JOB}, "family": args.family or "deconvolution"}
 
 
-def _given(options: dict[str, Any], family: Any, model: Model) -> dict[str, Any]:
+def family_settings(options: dict[str, Any], family: Any, model: Model) -> dict[str, Any]:
     """The settings that were given, as the family takes them.
 
     Raises
