@@ -72,6 +72,7 @@ def load(source: Source, options: Options) -> list[Table]:
             source.refuse("lines of different length", f"line {number}: {count} cells", f"{layout.width} cells",
                           "the comma may be the decimal sign too: part the columns by semicolons or tabs" if both
                           else "correct or delete that line")  # fmt: skip
+    _refuse_damaged_row(lines[: layout.first], body, layout, source)
     columns = np.arange(layout.width)
     clean = (
         [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
@@ -209,6 +210,35 @@ def _with_points(lines: list[str]) -> tuple[list[str], tuple[str, ...]]:
         cells = lines[i].strip().split(",")
         found[i] = ",".join(".".join(cells[k : k + 2]) for k in range(0, len(cells), 2))
     return found, ("commas part the columns and the decimals too: two groups of digits are read as one number",)
+
+
+def _refuse_damaged_row(above: list[str], body: list[tuple[int, str]], layout: _Layout, source: Source) -> None:
+    """Nothing, unless the line over the first row of numbers is a row that was damaged, or one glued to the heading."""
+    filled = [k for k, line in enumerate(above) if line.strip()]
+    if not filled or not body or layout.width < 2:
+        return
+    line = above[filled[-1]].strip()
+    cells, row = _cells(line, layout), _cells(body[0][1], layout)
+    *_, last = cells[: max(1, len(cells) - layout.width + 1)]  # where a row would begin
+    rest = cells[len(cells) - layout.width + 1 :]
+    numbers = all(cell and number_of(cell, layout.decimal) is not None for cell in rest)
+    decimals = _form(row[0], layout.decimal)[0]
+    tail = rf"\D\d+{re.escape(layout.decimal)}\d{{{decimals}}}" if decimals else r"\D\d+"
+    whole_heading = len(cells) > layout.width or decimals > 0
+    glued = len(cells) >= layout.width and numbers and whole_heading and re.search(rf"{tail}$", last) is not None
+    begun = _form(cells[0], layout.decimal)[0] > 0
+    alike = max(_alike(cells, row, layout.decimal), _alike(cells[::-1], row[::-1], layout.decimal))
+    damaged = begun or (len(filled) > 1 and 2 * alike >= layout.width)
+    if glued or (damaged and line[0] not in "#%"):
+        source.refuse("the line over the first row of numbers names no columns and is no row: it may be a damaged one",
+                      f"line {filled[-1] + 1}: {line[:80]!r}", "names and units of the columns, or numbers",
+                      "correct or delete that line")  # fmt: skip
+
+
+def _alike(cells: list[str], row: list[str], decimal: str) -> int:
+    """How many cells are numbers with as many decimals as those of a row below."""
+    forms = [(_form(a, decimal), _form(b, decimal)) for a, b in zip(cells, row, strict=False)]
+    return sum(a == b and a[0] > 0 for a, b in forms)
 
 
 def _refuse_rows_of_channels(lines: list[str], source: Source) -> None:
