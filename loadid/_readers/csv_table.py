@@ -217,19 +217,19 @@ def _refuse_damaged_row(above: list[str], body: list[tuple[int, str]], layout: _
     filled = [k for k, line in enumerate(above) if line.strip()]
     if not filled or not body or layout.width < 2:
         return
-    line = above[filled[-1]].strip()
+    line, mark = above[filled[-1]].strip(), layout.decimal
     cells, row = _cells(line, layout), _cells(body[0][1], layout)
-    *_, last = cells[: max(1, len(cells) - layout.width + 1)]  # where a row would begin
-    rest = cells[len(cells) - layout.width + 1 :]
-    numbers = all(cell and number_of(cell, layout.decimal) is not None for cell in rest)
-    decimals = _form(row[0], layout.decimal)[0]
-    tail = rf"\D\d+{re.escape(layout.decimal)}\d{{{decimals}}}" if decimals else r"\D\d+"
-    whole_heading = len(cells) > layout.width or decimals > 0
-    glued = len(cells) >= layout.width and numbers and whole_heading and re.search(rf"{tail}$", last) is not None
-    begun = _form(cells[0], layout.decimal)[0] > 0
-    alike = max(_alike(cells, row, layout.decimal), _alike(cells[::-1], row[::-1], layout.decimal))
+    decimals = _form(row[0], mark)[0]
+    tail = rf"\D\d+{re.escape(mark)}\d{{{decimals}}}" if decimals else r"\D\d+"
+    numbers = all(cell and number_of(cell, mark) is not None for cell in cells[1 - layout.width :])
+    last = re.search(rf"{tail}$", cells[-layout.width]) if len(cells) >= layout.width else None
+    glued = numbers and last is not None and (decimals > 0 or len(cells) > layout.width)
+    surplus = len(cells) > layout.width and _alike(cells[-1:], row[-1:], mark) > 0
+    cut = line[-1].isdigit() and any(line.count(a) != line.count(b) for a, b in ("[]", "()"))
+    begun = re.match(rf"[+-]?\d+{re.escape(mark)}\d", line) is not None
+    alike = max(_alike(cells, row, mark), _alike(cells[::-1], row[::-1], mark))
     damaged = begun or (len(filled) > 1 and 2 * alike >= layout.width)
-    if glued or (damaged and line[0] not in "#%"):
+    if glued or surplus or cut or (damaged and line[0] not in "#%"):
         source.refuse("the line over the first row of numbers names no columns and is no row: it may be a damaged one",
                       f"line {filled[-1] + 1}: {line[:80]!r}", "names and units of the columns, or numbers",
                       "correct or delete that line")  # fmt: skip
