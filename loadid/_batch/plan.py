@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from structures.errors import InputError
 
 from .. import _toml
-from .._commands import identify, settings
+from .._commands import identify, one_record, settings
 from .._toml import is_number
 
 NAMES = {
@@ -245,7 +245,7 @@ class BatchPlanReader(_toml.PlanReader):
         if isinstance(units, dict):
             tree = {**tree, "unit": [f"{channel}={unit}" for channel, unit in units.items()]}
         args = self.options(tree, f"{place}, reading")
-        return {**settings(args), **({"record": args.record[0]} if args.record else {})}
+        return {**settings(args), **({"record": one_record(args)} if args.record else {})}
 
     def options(self, tree: dict[str, Any], place: str) -> argparse.Namespace:
         """A table as the options of ``loadid identify`` of the same names."""

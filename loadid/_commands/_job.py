@@ -47,7 +47,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     for name, value in tree.items():
         if name == "reading":
             found[name] = _reading(plan, plan.table(tree, name))
-        elif name == "responses":
+        elif name == "responses" or (name == "record" and isinstance(value, list)):
             found[name] = _texts(plan, name, value)
         elif name in WORDS:
             found[name] = plan.text(tree, name, "the job")

@@ -69,7 +69,7 @@ def identify(
     *,
     family: str = "auto",
     responses: Sequence[str] | None = None,
-    record: str | None = None,
+    record: str | Sequence[str] | None = None,
     reading: dict[str, Any] | None = None,
     **options: Any,
 ) -> Any:
@@ -247,7 +247,7 @@ def _with_contradiction(error: InputError, record: Record) -> InputError:
     return InputError(error.what, hint=hint, **parts)
 
 
-def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:
+def _read(log: str | Path, record: str | Sequence[str] | None, reading: dict[str, Any] | None) -> Record:
     from .._readers import read
 
     return read(log, record=record, **(reading or {}))

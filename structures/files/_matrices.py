@@ -214,7 +214,7 @@ def _level5(path: Path) -> Container:
                          expected=f"at most {LEVEL5_BUDGET} bytes", hint="save it with -v7.3")  # fmt: skip
     data = path.read_bytes()
     arrays, others = read_level5(data, str(path))
-    found = {name: partial(np.asarray, values) for name, values in arrays.items()}
+    found: dict[str, Any] = {name: partial(np.asarray, values) for name, values in arrays.items()}
     if "sparse" in others.values():
         for name, parts in read_sparse(data, str(path)).items():
             found |= {f"{name}/{part}": partial(np.asarray, values) for part, values in parts.items()}

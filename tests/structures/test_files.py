@@ -115,7 +115,9 @@ def dense_level5(path):
 
 def sparse_level5(path):
     nodes, directions = np.repeat(np.arange(5.0), 2), np.tile([3.0, -5.0], 5)
-    scipy.io.savemat(path, {"K": sparse.csc_matrix(K), "M": sparse.csc_matrix(M), "nodes": nodes, "directions": directions})
+    scipy.io.savemat(
+        path, {"K": sparse.csc_matrix(K), "M": sparse.csc_matrix(M), "nodes": nodes, "directions": directions}
+    )
 
 
 WRITERS = {
