@@ -80,7 +80,7 @@ class Asset:
     name : str
     model : Path
     records : tuple of str
-        Paths, each a file.
+        Paths, each a file, or a folder of files that make one record (`loadid.read_folder`).
     response : tuple of str, optional
         Channels in the order of the sensors of the model.
     start : str
@@ -203,7 +203,7 @@ class BatchPlanReader(_toml.PlanReader):
             self.refused(f"{place}, records", patterns, "paths or patterns, as 'bridge/*.csv'")
         found: set[str] = set()
         for pattern in patterns:
-            there = list(_files(str(folder / pattern)))
+            there = list(_files(os.path.join(folder, pattern)))
             if not there:
                 raise InputError("no record is there", where=f"{self.where}, {place}", found=str(folder / pattern),
                                  expected="a file, or a pattern that some files have",
@@ -326,8 +326,9 @@ def moment(value: Any) -> dt.datetime | None:
 
 
 def _files(pattern: str) -> Iterator[str]:
-    if not glob.has_magic(pattern):
-        if os.path.isfile(pattern):
-            yield pattern
-        return
-    yield from (path for path in glob.iglob(pattern, recursive=True) if os.path.isfile(path))
+    """Files of a pattern; folders where it names one, or ends in a slash."""
+    folders = pattern.endswith("/") or not glob.has_magic(pattern)
+    there = glob.iglob(pattern, recursive=True) if glob.has_magic(pattern) else [pattern]
+    for path in there:
+        if os.path.isfile(path) or (folders and os.path.isdir(path)):
+            yield path.rstrip("/")
