@@ -84,7 +84,8 @@ def open_source(
     Raises
     ------
     InputError
-        A file that is not there, a folder that makes no record, standard input that is closed, a socket that nobody serves.
+        A file that is not there, a folder that makes no record, standard input that is closed, a socket that nobody
+        serves.
     """
     if where == "-":
         pipe = _standard_input()

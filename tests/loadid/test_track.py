@@ -72,11 +72,11 @@ def test_a_folder_by_the_hour_is_tracked_as_one_log(made, run, tmp_path):
     hour("a.csv", 0, 200)
     hour("b.csv", 230, 400)
     argv = ["--model", made[3], "--state", state, "--in", folder, "--out", out]
-    code, said, err = run(*argv)
+    code, _, err = run(*argv)
     assert (code, err.count("gap") > 0) == (0, True)
     gapped = Y.copy()
     gapped[200:230] = np.nan
-    load, std, _ = Tracker.load(made[3]).run(gapped)
+    load, _, _ = Tracker.load(made[3]).run(gapped)
     found = table(out)
     np.testing.assert_allclose(found[:, 1], load[: len(found), 0], rtol=1e-9, atol=1e-9 * np.nanstd(load))
     np.testing.assert_allclose(found[:, 0] - 1.8e9, np.arange(400) * f.dt, atol=1e-5)
