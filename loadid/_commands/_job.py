@@ -40,7 +40,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     InputError
         No such file, no TOML, a key that is none (with the nearest one), a value that fits none.
     """
-    tree = _toml.read(path)
+    tree = _toml.read(path, "job")
     plan = PlanReader(os.fspath(path), {"job": (*WORDS, *OPTIONS), "reading": READING})
     plan.known(tree, "job", plan.where)
     found: dict[str, Any] = {}

@@ -119,11 +119,11 @@ def identify(
         found = _read(log, record, reading) if table is None else table
     taken = family_of(family, settings, own, found)
     require_known(taken, {name: None for name in settings if name not in ("progress", "constraints")})
+    notes = [*found.notes, *inputs.lacking(found, settings)] if _is_record(found) else []
     try:
         estimate = _estimated(taken, found, own, responses, settings)
     except InputError as error:
         raise (_with_contradiction(error, found) if _is_record(found) else error) from error
-    notes = list(found.notes) if _is_record(found) else []
     return replace(estimate, provenance={**estimate.provenance, "notes": notes}) if notes else estimate
 
 

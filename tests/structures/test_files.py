@@ -141,11 +141,15 @@ def test_a_mat_file_without_matrices_says_what_it_holds(tmp_path):
         files.load(tmp_path / "old.mat")
 
 
-def test_a_member_of_an_archive_that_was_renamed_is_damage(tmp_path):
+def test_a_member_of_an_archive_that_was_renamed_or_swallowed_is_damage(tmp_path):
     files.save(BEAM, tmp_path / "m.npz")
     data = (tmp_path / "m.npz").read_bytes()
-    for at in [m.start() for m in re.finditer(b"M_data", data)]:
-        (tmp_path / "m.npz").write_bytes(data[:at] + b"X" + data[at + 1 :])
+    renamed = [data[:at] + b"X" + data[at + 1 :] for at in (m.start() for m in re.finditer(b"M_data", data))]
+    at = data.rindex(b"K_indptr") - 14  # length of the comment in its entry of the directory: it takes the next ones
+    size = len(data) - data.rindex(b"K_indptr") - len("K_indptr.npy") - 22
+    swallowed = data[:at] + size.to_bytes(2, "little") + data[at + 2 :]
+    for damaged in (*renamed, swallowed):
+        (tmp_path / "m.npz").write_bytes(damaged)
         with pytest.raises(InputError, match="no NumPy archive, or a damaged one"):
             files.load(tmp_path / "m.npz")
 
