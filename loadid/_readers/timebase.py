@@ -14,6 +14,7 @@ from structures.errors import InputError
 from .source import Source
 
 JITTER = 0.01  # deviation from the grid, in steps, that is still uniform
+LONE = 0.05  # share of stamps that may be damaged where all others keep one grid
 MISSING = 0.25  # share of dropped samples on the full grid beyond which a column is no time column
 
 
@@ -55,6 +56,7 @@ def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0, stat
     wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
     if wrong.any() or np.diff(place).min() < 1:
         i = int(np.argmax(np.abs(steps - typical)))
+        _refuse_damaged(t, place, typical, slack, source)
         source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
                       "a constant step", _resample(typical), UnevenStampsError)  # fmt: skip
     missing = int(place[-1]) + 1 - n
@@ -65,6 +67,20 @@ def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0, stat
     away, count = slack_of(t, dt, place), float(place[-1])
     fits = stated is not None and abs(stated - dt) <= max(_within(dt, count, away), 2.0 * rounding / count)
     return Base(stated if fits and stated else _snap(dt, count, away), place, missing, first)
+
+
+def _refuse_damaged(
+    t: NDArray[np.float64], place: NDArray[np.int64], step: float, slack: float, source: Source
+) -> None:
+    """Nothing, unless all stamps but a few keep one grid: these are damaged, and no reason to resample the others."""
+    away = t - place * step
+    wrong = np.abs(away - np.median(away)) > slack
+    if 0 < wrong.sum() <= max(1, LONE * len(t)):
+        k = int(np.argmax(wrong))
+        source.refuse("a few stamps lie off the grid of all others",
+                      f"{int(wrong.sum())} of {len(t)}, the first that of sample {k}, {t[k]:.9g} s",
+                      f"time is not uniform there: a step of {step:.6g} s",
+                      "they are damaged: correct them, or leave the time column out and state --fs HZ")  # fmt: skip
 
 
 def _resample(step: float) -> Advice:

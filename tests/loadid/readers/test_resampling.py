@@ -110,6 +110,18 @@ def test_what_cannot_be_a_grid_is_refused(tmp_path):
         loadid.read(table(tmp_path / "log.csv", t, t), fs=200.0)
 
 
+def test_a_damaged_stamp_is_no_reason_to_resample(tmp_path):
+    t = np.arange(300) / 100
+    for k in (0, 150, 299):
+        off = t.copy()
+        off[k] += 0.003
+        for stated in ({}, {"fs": 100.0}):
+            with pytest.raises(
+                InputError, match=rf"off the grid of all others; found: 1 of 300, the first .* sample {k},"
+            ):
+                loadid.read(table(tmp_path / "log.csv", off, t), **stated)
+
+
 def test_even_stamps_are_what_they_were(tmp_path):
     t = np.arange(300) / 100
     path = table(tmp_path / "log.csv", t, tones(1, 4.0)(t))
