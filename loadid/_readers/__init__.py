@@ -15,7 +15,7 @@ Where a format writes the date of every sample, its texts or ``datetime64`` go i
 values; where it writes when the record began, that goes into ``start`` (s since 1970, UTC).
 
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
-before it unpacks, and never evaluates or unpickles anything. `rows_of` (`csv_table.py`) turns lines of text into
+before it unpacks, and never evaluates or unpickles anything. `rows_of` (`rows.py`) turns lines of text into
 numbers and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
 
 A package of the extra ``io`` is named by its module (``library="nptdms"``) and imported inside the function: where it

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from structures._flags import Flag
 
 from .. import _stamps
-from .csv_table import rows_of
+from .rows import rows_of
 from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
