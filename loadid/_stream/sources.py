@@ -144,7 +144,7 @@ def _pieced(path: Path, units: Mapping[str, str] | None) -> Callable[[], bytes]:
     """Reads the record that the files of a folder make, in pieces, as lines of text in the units of the files."""
     from .._readers import read_folder
 
-    stated: dict[str | int, Any] = {**(units or {})}
+    stated: dict[str | int, Any] = {str(name): unit for name, unit in (units or {}).items()}
     folder = read_folder(path, units=stated or None)
     for note in folder.outline.notes[1:]:  # the first one counts the files
         log.warning("%s: %s", path, note)
