@@ -31,6 +31,7 @@ STRETCHES = 8  # that are tried, the loudest first: the second record may not co
 TAPS = 32  # samples on each side that an interpolated one is made of
 TAPER = 10.0  # of the Kaiser window over them: 1e-5 up to nine tenths of the band
 WINDOWS = 48  # over the overlap
+LEFT = 3e-3  # of a step: what interpolation leaves of signals that fill their band (hits), in all windows alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,9 @@ def align(a: Record, b: Record, *, channel: str | int | tuple[str | int, str | i
     a, b : Record
         The first one keeps its clock.
     channel : str, int or (of a, of b)
-        What both recorded: the same quantity, at one place or nearly so.
+        What both recorded: best the same quantity at one place. A pair of different names or quantities does where
+        their spectra differ by real factors alone, as an accelerometer and a strain gauge on one lightly damped
+        structure; what delays one of them stands in the offset, and a force does not stand for its response.
 
     Returns
     -------
@@ -96,7 +99,7 @@ def align(a: Record, b: Record, *, channel: str | int | tuple[str | int, str | i
     Raises
     ------
     InputError
-        Records that are too short, or nothing in common beyond chance.
+        Records that are too short, or nothing in common beyond chance: in the search, or in four windows.
     """
     one, other = channel if isinstance(channel, tuple) else (channel, channel)
     x, y = _centred(a, one), _centred(b, other)
@@ -115,6 +118,7 @@ def align(a: Record, b: Record, *, channel: str | int | tuple[str | int, str | i
         reach *= 2.0
     offset, ratio = -shift / rate, 1.0 / rate
     slopes = np.array([[-1.0, -offset], [0.0, -ratio]])  # of offset and ratio over the two numbers of the line
+    covariance = covariance + np.diag([LEFT * a.dt, LEFT * a.dt / (end - begin)]) ** 2
     std = np.sqrt(np.diag(slopes @ covariance @ slopes.T))
     left = delays - line[0] - line[1] * times
     record = _merged(a, b, (shift, rate))
@@ -184,11 +188,10 @@ def _searched(x: Array, y: Array, dt: float, other: float, mean: float) -> tuple
 def _stretch(part: Array, y: Array, dt: float, other: float, mean: float) -> tuple[float, int, float, float]:
     """Largest correlation of a stretch with the second record, its sample there, its rate, and that of chance."""
     size = len(part)
-    power = np.abs(np.fft.rfft(part)) ** 2
     step = 2.0 / (np.pi * max(mean * size * dt, 1.0))
     rates = 1.0 + step * np.arange(-np.ceil(SKEW / step), np.ceil(SKEW / step) + 1)
     trials = len(rates) * (len(y) + size) * STRETCHES
-    chance = float(np.sqrt(np.sum(power**2) / np.sum(power) ** 2 * np.log(trials)))
+    chance = _chance(part, trials)
     sums = np.cumsum(np.concatenate(([0.0], y**2)))
     best = (0.0, 0, 1.0)
     length = 1 << int(len(y) + 2 * size * dt / other).bit_length()
@@ -238,15 +241,24 @@ def _delays(
             continue
         down, mid, up = peak[k - 1 : k + 2]
         bend = down - 2 * mid + up
-        if bend >= 0:
+        size = float(np.sqrt(np.sum(part**2)))
+        if bend >= 0 or mid < size * _chance(part, 2 * reach):
             continue
         delays.append((fine[k] - lags + 0.5 * (down - up) / bend / 16) * dt)
         times.append(0.5 * (begin + end - 1) * dt)
         weights.append(-bend)
     if len(times) < 4:
-        raise InputError("too little of the records overlaps", where="align", found=f"{len(times)} windows",
-                         expected="4 in which both move", hint="take records that cover more of one event")  # fmt: skip
+        raise InputError("too little of the records overlaps, or the channels are too unlike", where="align",
+                         found=f"{len(times)} of {count} windows in which they correlate beyond chance",
+                         expected="4 or more", hint="take records that cover more of one event, or name another pair "
+                         "of channels")  # fmt: skip
     return np.array(times), np.array(delays), np.array(weights)
+
+
+def _chance(x: Array, trials: float) -> float:
+    """The largest correlation that unrelated samples of this spectrum have in so many trials."""
+    power = np.abs(np.fft.rfft(x)) ** 2
+    return float(np.sqrt(np.sum(power**2) / np.sum(power) ** 2 * np.log(trials)))
 
 
 def _line(t: Array, d: Array, weights: Array) -> tuple[Array, Array]:

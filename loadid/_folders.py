@@ -196,7 +196,7 @@ def folder_of(
 ) -> Folder:
     """A folder whose files `read` and `outline` read; see `loadid.read_folder`."""
     place = Path(path).expanduser()
-    files, passed = _listed(place)
+    files, passed = listed(place)
     stated = {**reading, "record": record}
     found = [(file, _outlined(file, record, outline(file, **reading))) for file in files]
     for file, one in found[1:]:
@@ -239,8 +239,14 @@ def spans(samples: int, piece: int) -> list[tuple[int, int]]:
     return list(pairwise(cuts))
 
 
-def _listed(place: Path) -> tuple[list[Path], list[str]]:
-    """Files of one format in the natural order of their names, and names of what is passed over."""
+def listed(place: Path) -> tuple[list[Path], list[str]]:
+    """Files of one format in the natural order of their names, and names of what is passed over.
+
+    Raises
+    ------
+    InputError
+        No file that is read, several formats of as many files each, a folder that cannot be read.
+    """
     try:
         entries = [p for p, _ in zip(place.iterdir(), range(FILES + 1), strict=False)]
     except OSError as error:

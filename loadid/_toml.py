@@ -11,6 +11,8 @@ from typing import Any, NoReturn
 from structures import _toml
 from structures.errors import InputError
 
+SHOWN, LONGEST_LIST = 8, 16  # keys of a table that are named, the nearest first, where it has more than so many
+
 
 class PlanReader:
     """The values of a plan, checked one by one.
@@ -35,11 +37,14 @@ class PlanReader:
         """
         for name in tree:
             if name not in self.names[kind]:
-                near = difflib.get_close_matches(name, self.names[kind], n=1, cutoff=0.5)
+                near = difflib.get_close_matches(name, self.names[kind], n=SHOWN, cutoff=0.5)
+                listed = list(dict.fromkeys([*near, *self.names[kind]]))
+                more = "" if len(listed) <= LONGEST_LIST else f", ... ({len(listed)} in all)"
                 where = place if place == self.where else f"{self.where}, {place}"
                 hint = f"did you mean {near[0]!r}?" if near else "leave it out"
                 raise InputError("there is no such key", where=where, found=repr(name),
-                                 expected=", ".join(self.names[kind]), hint=hint)  # fmt: skip
+                                 expected=", ".join(listed[: SHOWN if more else None]) + more,
+                                 hint=hint)  # fmt: skip
 
     def refused(self, place: str, found: Any, expected: str) -> NoReturn:
         """A value that is none.
@@ -104,8 +109,8 @@ class PlanReader:
         return found
 
 
-def read(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The tables of a file.
+def read(path: str | os.PathLike[str], what: str = "plan") -> dict[str, Any]:
+    """The tables of a file; `what` it is called in messages.
 
     Raises
     ------
@@ -113,9 +118,9 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
         No such file, no TOML.
     """
     try:
-        return _toml.load(Path(path), "the plan is no TOML", "mend the line")
+        return _toml.load(Path(path), f"the {what} is no TOML", "mend the line")
     except OSError as error:
-        raise InputError("the plan cannot be read", where=str(path), found=error.strerror or str(error),
+        raise InputError(f"the {what} cannot be read", where=str(path), found=error.strerror or str(error),
                          hint="check the path") from None  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from structures.errors import InputError
 
 from .. import _toml
-from .._commands import identify, settings
+from .._commands import identify, one_record, settings
 from .._toml import is_number
 
 NAMES = {
@@ -80,7 +80,7 @@ class Asset:
     name : str
     model : Path
     records : tuple of str
-        Paths, each a file.
+        Paths, each a file, or a folder of files that make one record (`loadid.read_folder`).
     response : tuple of str, optional
         Channels in the order of the sensors of the model.
     start : str
@@ -203,7 +203,7 @@ class BatchPlanReader(_toml.PlanReader):
             self.refused(f"{place}, records", patterns, "paths or patterns, as 'bridge/*.csv'")
         found: set[str] = set()
         for pattern in patterns:
-            there = list(_files(str(folder / pattern)))
+            there = list(_files(os.path.join(folder, pattern)))
             if not there:
                 raise InputError("no record is there", where=f"{self.where}, {place}", found=str(folder / pattern),
                                  expected="a file, or a pattern that some files have",
@@ -245,7 +245,7 @@ class BatchPlanReader(_toml.PlanReader):
         if isinstance(units, dict):
             tree = {**tree, "unit": [f"{channel}={unit}" for channel, unit in units.items()]}
         args = self.options(tree, f"{place}, reading")
-        return {**settings(args), **({"record": args.record[0]} if args.record else {})}
+        return {**settings(args), **({"record": one_record(args)} if args.record else {})}
 
     def options(self, tree: dict[str, Any], place: str) -> argparse.Namespace:
         """A table as the options of ``loadid identify`` of the same names."""
@@ -326,8 +326,9 @@ def moment(value: Any) -> dt.datetime | None:
 
 
 def _files(pattern: str) -> Iterator[str]:
-    if not glob.has_magic(pattern):
-        if os.path.isfile(pattern):
-            yield pattern
-        return
-    yield from (path for path in glob.iglob(pattern, recursive=True) if os.path.isfile(path))
+    """Files of a pattern; folders where it names one, or ends in a slash."""
+    folders = pattern.endswith("/") or not glob.has_magic(pattern)
+    there = glob.iglob(pattern, recursive=True) if glob.has_magic(pattern) else [pattern]
+    for path in there:
+        if os.path.isfile(path) or (folders and os.path.isdir(path)):
+            yield path.rstrip("/")

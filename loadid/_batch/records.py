@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError
 
 from .. import __version__
-from .._folders import spans
+from .._folders import listed, spans
 from .plan import Asset, Plan
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Chunk:
     key : str
         Digest of what it depends on, and the name of its part.
     record : str
-        Path of its record.
+        Path of its record: a file, or a folder of files that make one.
     size : int
         Bytes of the record that it stands for.
     asset : int
@@ -138,6 +138,9 @@ def manifest(plan: Plan) -> Manifest:
             except OSError as error:
                 bad.append(Bad(at, path, f"{path}: the file cannot be read; found: {error.strerror or error}"))
                 continue
+            except InputError as error:
+                bad.append(Bad(at, path, error.command))
+                continue
             if digest in seen:
                 bad.append(Bad(at, path, f"{path}: the same bytes as {seen[digest]}, which is counted once; "
                                "what to do: take one of them away"))  # fmt: skip
@@ -202,13 +205,19 @@ class Digests:
         self._file = path.open("a")
 
     def of(self, path: str) -> tuple[str, int]:
-        """Digest and size in bytes.
+        """Digest and size in bytes; of a folder, of the names and the bytes of its files.
 
         Raises
         ------
         OSError
             A file that cannot be read.
+        InputError
+            A folder that is no record.
         """
+        if os.path.isdir(path):
+            files = [(file.name, *self.of(str(file))) for file in listed(Path(path))[0]]
+            told = json.dumps([file[:2] for file in files]).encode()
+            return hashlib.sha256(told).hexdigest(), sum(size for _, _, size in files)
         about = os.stat(path)
         mark = f"{about.st_dev} {about.st_ino} {about.st_size} {about.st_mtime_ns}"
         digest = self.known.get(mark)

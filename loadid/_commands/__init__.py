@@ -216,12 +216,15 @@ def seed(text: str) -> int:
 def add_log_options(parser: ArgumentParser, *, several: bool = False) -> None:
     """Options that say how a log is read."""
     group = parser.add_argument_group("reading logs")
-    group.add_argument("--fs", type=frequency, metavar="HZ", help="sampling frequency, where the file does not tell it")
+    group.add_argument("--fs", type=frequency, metavar="HZ",
+                       help="sampling frequency, where the file does not tell it; of uneven time stamps, or several "
+                       "records, the rate to resample to")  # fmt: skip
     group.add_argument("--columns", type=channels, metavar="CH,...",
                        help="channels to read, or the names of all where the file has none")  # fmt: skip
     group.add_argument("--axis", type=int, choices=(0, 1), help="axis of a bare array that is time")
-    more = "; may repeat, default all" if several else ""
-    group.add_argument("--record", action="append", metavar="NAME", help=f"record of a file that holds several{more}")
+    more = "; may repeat, default all" if several else "; may repeat, with --fs: all onto one clock"
+    group.add_argument("--record", action="append", metavar="NAME",
+                       help=f"record of a file that holds several{more}")  # fmt: skip
     group.add_argument(
         "--unit",
         action="append",
@@ -265,17 +268,9 @@ def settings(args: Namespace) -> dict[str, Any]:
     return {k: v for k, v in given.items() if v is not None}
 
 
-def one_record(args: Namespace) -> str | None:
-    """The record that a command of one log is to read.
-
-    Raises
-    ------
-    InputError
-        If several are named.
-    """
-    if args.record and len(args.record) > 1:
-        raise InputError("one record is needed", where="--record", found=args.record)
-    return args.record[0] if args.record else None
+def one_record(args: Namespace) -> str | list[str] | None:
+    """The record that a command of one log is to read; several are put onto one clock."""
+    return args.record[0] if args.record and len(args.record) == 1 else args.record
 
 
 def read_records(path: str | Path, chosen: list[str] | None, settings: dict[str, Any]) -> list[Record]:

@@ -249,7 +249,7 @@ def reading(record: Record, settings: dict[str, Any]) -> Any:
         raise InputError("a row or a mean", where="at", found="both", expected="one of the two")
     t = np.arange(len(record.values)) * record.dt
     low, high = (at, at) if window is None else window
-    inside = (t >= low - 0.5 * record.dt) & (t <= high + 0.5 * record.dt)
+    inside = _inside(record, low, high)
     if not inside.any() or low > t[-1] + 0.5 * record.dt or low < -0.5 * record.dt:
         raise InputError("no row of the record", where="at" if window is None else "mean",
                          found=f"{low:g} to {high:g} s", expected=f"times within 0 to {t[-1]:.6g} s")  # fmt: skip
@@ -258,6 +258,24 @@ def reading(record: Record, settings: dict[str, Any]) -> Any:
         raise InputError("a channel has no sample there", where="mean", found=f"{low:g} to {high:g} s",
                          expected="samples of every channel")  # fmt: skip
     return dict(zip(record.labels, np.nanmean(rows, axis=0).tolist(), strict=True))
+
+
+def _inside(record: Record, low: float, high: float) -> NDArray[np.bool_]:
+    t = np.arange(len(record.values)) * record.dt
+    return (t >= low - 0.5 * record.dt) & (t <= high + 0.5 * record.dt)
+
+
+def lacking(record: Record, settings: Mapping[str, Any]) -> list[str]:
+    """What is said of samples that a `mean` over a window lacks, of each channel that lacks some."""
+    window = settings.get("mean")
+    if window is None:
+        return []
+    gone = np.isnan(record.values[_inside(record, *window)])
+    return [
+        f"mean over {window[0]:g} to {window[1]:g} s: {count} of {len(gone)} samples of {label} are missing"
+        for label, count in zip(record.labels, gone.sum(axis=0).tolist(), strict=True)
+        if count
+    ]
 
 
 def amplitudes(record: Record, frequency: float) -> tuple[dict[str, complex], list[float]]:

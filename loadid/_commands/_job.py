@@ -40,14 +40,14 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     InputError
         No such file, no TOML, a key that is none (with the nearest one), a value that fits none.
     """
-    tree = _toml.read(path)
+    tree = _toml.read(path, "job")
     plan = PlanReader(os.fspath(path), {"job": (*WORDS, *OPTIONS), "reading": READING})
     plan.known(tree, "job", plan.where)
     found: dict[str, Any] = {}
     for name, value in tree.items():
         if name == "reading":
             found[name] = _reading(plan, plan.table(tree, name))
-        elif name == "responses":
+        elif name == "responses" or (name == "record" and isinstance(value, list)):
             found[name] = _texts(plan, name, value)
         elif name in WORDS:
             found[name] = plan.text(tree, name, "the job")

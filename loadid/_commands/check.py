@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAMES = {
     code: GUARDS[code]
     for code in (
-        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210", "W214", "W216"),
+        *("W105", "W114", "W201", "W204", "W205", "W206", "W207", "W208", "W209", "W210", "W214", "W216", "W220"),
         *("W505", "W509", "W702", "W704"),
     )
 }
@@ -129,7 +129,8 @@ def check(
         where = record.name or Path(record.source).name or "record"
         findings.notes += [(where, note) for note in record.notes]
         findings.run("W206", where, record.health)
-        findings.run("W209", where, partial(_of, record.flags, "W209"))
+        for code in ("W209", "W220"):
+            findings.run(code, where, partial(_of, record.flags, code))
         if known is not None:
             check_pair(findings, known, record, where, responses)
     if known is not None:

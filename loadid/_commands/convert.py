@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,14 +85,14 @@ def loads_of(estimate: LoadEstimate) -> Record:
     return Record(np.column_stack([x for _, x in columns]), float(t[1] - t[0]), named, name="loads")
 
 
-def convert(path: str | Path, output: str | Path, *, record: str | None = None, **reading: Any) -> str:
+def convert(path: str | Path, output: str | Path, *, record: str | Sequence[str] | None = None, **reading: Any) -> str:
     """Write what a file holds in the format that the suffix of another names; what was in it, in a word.
 
     Parameters
     ----------
     path, output : path
-    record : str, optional
-        Of a log that holds several.
+    record : str or sequence of str, optional
+        Of a log that holds several; several are put onto one clock.
     **reading
         As for `loadid._readers.read`.
 

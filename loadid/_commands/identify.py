@@ -69,7 +69,7 @@ def identify(
     *,
     family: str = "auto",
     responses: Sequence[str] | None = None,
-    record: str | None = None,
+    record: str | Sequence[str] | None = None,
     reading: dict[str, Any] | None = None,
     **options: Any,
 ) -> Any:
@@ -119,11 +119,11 @@ def identify(
         found = _read(log, record, reading) if table is None else table
     taken = family_of(family, settings, own, found)
     require_known(taken, {name: None for name in settings if name not in ("progress", "constraints")})
+    notes = [*found.notes, *inputs.lacking(found, settings)] if _is_record(found) else []
     try:
         estimate = _estimated(taken, found, own, responses, settings)
     except InputError as error:
         raise (_with_contradiction(error, found) if _is_record(found) else error) from error
-    notes = list(found.notes) if _is_record(found) else []
     return replace(estimate, provenance={**estimate.provenance, "notes": notes}) if notes else estimate
 
 
@@ -258,7 +258,7 @@ def _with_contradiction(error: InputError, record: Record) -> InputError:
     return InputError(error.what, hint=hint, **parts)
 
 
-def _read(log: str | Path, record: str | None, reading: dict[str, Any] | None) -> Record:
+def _read(log: str | Path, record: str | Sequence[str] | None, reading: dict[str, Any] | None) -> Record:
     from .._readers import read
 
     return read(log, record=record, **(reading or {}))

@@ -318,7 +318,11 @@ def _configure(parser: ArgumentParser) -> None:
         "--state", metavar="STATE.h5", help="checkpoints; gone on from where the file is there, else begun from --model"
     )
     parser.add_argument(
-        "--in", dest="source", required=True, metavar="SOURCE", help="file, - (standard input) or tcp://HOST:PORT"
+        "--in",
+        dest="source",
+        required=True,
+        metavar="SOURCE",
+        help="file, folder of files, - (standard input) or tcp://HOST:PORT",
     )
     parser.add_argument(
         "--out", required=True, metavar="OUT",

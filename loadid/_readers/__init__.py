@@ -15,7 +15,7 @@ Where a format writes the date of every sample, its texts or ``datetime64`` go i
 values; where it writes when the record began, that goes into ``start`` (s since 1970, UTC).
 
 A reader compares what a file declares with what it delivers (`truncated` gives the flag), asks `source.allow(bytes)`
-before it unpacks, and never evaluates or unpickles anything. `rows_of` (`csv_table.py`) turns lines of text into
+before it unpacks, and never evaluates or unpickles anything. `rows_of` (`rows.py`) turns lines of text into
 numbers and names the line and the cell that is none. Whatever else a reader raises leaves `read` as an InputError.
 
 A package of the extra ``io`` is named by its module (``library="nptdms"``) and imported inside the function: where it
@@ -46,7 +46,7 @@ from structures.files._child import apart
 
 from .._names import find
 from .._record import Record
-from .settle import check_unit_keys, outlined, settled
+from .settle import check_unit_keys, joined, outlined, settled
 from .source import (
     Format,
     NotStated,
@@ -86,7 +86,7 @@ class Stated(TypedDict, total=False):
 
 def read(
     path: str | os.PathLike[str],
-    record: str | int | None = None,
+    record: str | int | Sequence[str | int] | None = None,
     *,
     fs: float | None = None,
     columns: Sequence[str | int] | None = None,
@@ -101,10 +101,13 @@ def read(
         A file, or a folder of files that follow one another in time and make one record (`loadid.read_folder`): CSV
         and other text tables, NPY, NPZ, HDF5, MAT, universal files (UFF, UNV), LabVIEW LVM, TDMS, MDF (MF4), WAV,
         Parquet, Arrow and Feather, Excel, MCAP, ROS bags, miniSEED: docs/formats.md says what is read of each.
-    record : str or int, optional
-        Which record of a file that holds several: its name, or its index from 0.
+    record : str or int, or sequence of them, optional
+        Which record of a file that holds several: its name, or its index from 0. Several are resampled to ``fs`` over
+        the time that all of them cover.
     fs : float, optional
-        Sampling frequency in Hz; replaces what the file says.
+        Sampling frequency in Hz; replaces what the file says. Where the stamps of the samples are uneven, the rate to
+        which they are resampled, by cubic splines: intervals of more than 4 times those around them become NaN, a rate
+        below that of the samples is refused, and ``notes`` rank the channels by the error of the interpolation.
     columns : sequence of str or int, optional
         Where the file names its columns: the ones to read. Where it does not: the names of all of them, in order.
     axis : int, optional
@@ -119,7 +122,8 @@ def read(
     Returns
     -------
     Record
-        With ``flags`` (W209 where the file ends early) and ``notes`` (what was decided).
+        With ``flags`` (W209 where the file ends early, W220 where it was resampled coarsely) and ``notes`` (what was
+        decided).
 
     Raises
     ------
@@ -127,9 +131,13 @@ def read(
         Whatever is wrong with the file or with what was asked of it; no other exception leaves a reader.
     """
     if is_folder(path):
+        if isinstance(record, Sequence) and not isinstance(record, str):
+            raise InputError("a folder makes one record of one in each of its files", where=str(path),
+                             found=f"records {', '.join(map(str, record))}", expected="one of them",
+                             hint="read each of them, or its files one by one")  # fmt: skip
         return read_folder(path, record, fs=fs, columns=columns, axis=axis, units=units).record()
     found, source, options = _scan(path, fs=fs, columns=columns, axis=axis, units=units)
-    return guarded(source, lambda: _settle(_chosen(found, record, source), source, options, found))
+    return guarded(source, lambda: _settle(_chosen(found, record, source, options), source, options, found))
 
 
 def read_all(path: str | os.PathLike[str], **stated: Unpack[Stated]) -> tuple[Record, ...]:
@@ -292,7 +300,12 @@ def _neighbours(place: Path) -> str:
     return next(iter(difflib.get_close_matches(place.name, names, n=1, cutoff=0.75)), "")
 
 
-def _chosen(found: list[Table], record: str | int | None, source: Source) -> Table:
+def _chosen(
+    found: list[Table], record: str | int | Sequence[str | int] | None, source: Source, options: Options
+) -> Table:
+    if isinstance(record, Sequence) and not isinstance(record, str):
+        chosen = [_chosen(found, one, source, options) for one in dict.fromkeys(record)]
+        return chosen[0] if len(chosen) == 1 else joined(chosen, source, options)
     names = [t.name or f"record_{i + 1}" for i, t in enumerate(found)]
     if record is not None:
         return found[find(record, names, what="record", where=str(source.path))]

@@ -48,7 +48,7 @@ def tables_of(
     InputError
         1-D arrays of different length, descriptions that do not fit.
     """
-    dt, start = step_of(arrays, source), start_of(arrays)
+    dt, begun = step_of(arrays, source), begun_of(arrays)
     names, units = texts_of(arrays, NAMES, source), texts_of(arrays, UNITS, source)
     numbers = {
         k: x for k, x in arrays.items() if x.dtype.kind in "fiu" and x.size and k.lower() not in (*RATES, *STEPS)
@@ -60,7 +60,7 @@ def tables_of(
     for key, x in numbers.items():
         if x.ndim != 2:
             continue
-        table = time_first(Table(x, name=key, columns=names, dt=dt, start=start), source, options)
+        table = time_first(Table(x, name=key, columns=names, dt=dt, begun=begun), source, options)
         columns = table.values.shape[1]
         fits = names is not None and len(names) == columns
         table = replace(
@@ -75,14 +75,14 @@ def tables_of(
                           "save arrays of one length")  # fmt: skip
         if len({len(x) for x in channels.values()}) == 1 and len(channels) <= COLUMNS:
             joined = _joined(channels, clock, name or source.path.stem, dt, units, unit_of or {})
-            tables.append(replace(joined, start=start))
+            tables.append(replace(joined, begun=begun))
     return tables
 
 
-def start_of(values: dict[str, Any]) -> float | None:
-    """When a record began, of an entry named start that is an ISO 8601 text."""
+def begun_of(values: dict[str, Any]) -> str:
+    """When a record began, of an entry named start that is a text with a date and a time; "" where there is none."""
     texts = [str(np.asarray(x).reshape(-1)[0]) for k, x in values.items() if k.lower() in STARTS and np.size(x) == 1]
-    return next((found for text in texts if (found := _stamps.seconds(text)) is not None), None)
+    return next((text.strip() for text in texts if _stamps.form(text) in ("stamp", "date")), "")
 
 
 def step_of(values: dict[str, Any], source: Source) -> float | None:

@@ -6,29 +6,22 @@ Above the numbers there may be anything; the last line with as many cells as the
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures import units as _units
 from structures._flags import Flag
 
 from .. import _stamps
 from .curves import refuse_frfs
+from .rows import decimals_of, number_of, rows_of, split, whole
 from .settle import TIME_NAMES
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
 TRIES = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), (None, "."), (None, ","))
 HEADER_LINES = 1000
-NUMBER = re.compile(
-    r"[+-]?(?=\.?\d)\d*\.?(?P<decimals>(?<=\.)\d*)?(?:[eEdD][+-]?(?P<exponent>\d{1,3}))?|[+-]?(?:nan|inf|infinity)",
-    re.ASCII | re.IGNORECASE,
-)
-ALIKE = 2  # numbers of one form that a column must show before a last one is compared with them
 LONGEST_NAME = 1000  # characters in which a unit is looked for: the expression below costs their square
 WITH_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>.*)\))\s*", re.DOTALL)
 
@@ -72,6 +65,7 @@ def load(source: Source, options: Options) -> list[Table]:
             source.refuse("lines of different length", f"line {number}: {count} cells", f"{layout.width} cells",
                           "the comma may be the decimal sign too: part the columns by semicolons or tabs" if both
                           else "correct or delete that line")  # fmt: skip
+    _refuse_damaged_row(lines[: layout.first], body, layout, source)
     columns = np.arange(layout.width)
     clean = (
         [(n, line.rstrip().rstrip(layout.separator or " ")) for n, line in body] if _trailing(body, layout) else body
@@ -209,6 +203,35 @@ def _with_points(lines: list[str]) -> tuple[list[str], tuple[str, ...]]:
         cells = lines[i].strip().split(",")
         found[i] = ",".join(".".join(cells[k : k + 2]) for k in range(0, len(cells), 2))
     return found, ("commas part the columns and the decimals too: two groups of digits are read as one number",)
+
+
+def _refuse_damaged_row(above: list[str], body: list[tuple[int, str]], layout: _Layout, source: Source) -> None:
+    """Nothing, unless the line over the first row of numbers is a row that was damaged, or one glued to the heading."""
+    filled = [k for k, line in enumerate(above) if line.strip()]
+    if not filled or not body or layout.width < 2:
+        return
+    line, mark = above[filled[-1]].strip(), layout.decimal
+    cells, row = _cells(line, layout), _cells(body[0][1], layout)
+    decimals = decimals_of(row[0], mark)[0]
+    tail = rf"\D\d+{re.escape(mark)}\d{{{decimals}}}" if decimals else r"\D\d+"
+    numbers = all(cell and number_of(cell, mark) is not None for cell in cells[1 - layout.width :])
+    last = re.search(rf"{tail}$", cells[-layout.width]) if len(cells) >= layout.width else None
+    glued = numbers and last is not None and (decimals > 0 or len(cells) > layout.width)
+    surplus = len(cells) > layout.width and _alike(cells[-1:], row[-1:], mark) > 0
+    cut = line[-1].isdigit() and any(line.count(a) != line.count(b) for a, b in ("[]", "()"))
+    begun = re.match(rf"[+-]?\d+{re.escape(mark)}\d", line) is not None
+    alike = max(_alike(cells, row, mark), _alike(cells[::-1], row[::-1], mark))
+    damaged = begun or (len(filled) > 1 and 2 * alike >= layout.width)
+    if glued or surplus or cut or (damaged and line[0] not in "#%"):
+        source.refuse("the line over the first row of numbers names no columns and is no row: it may be a damaged one",
+                      f"line {filled[-1] + 1}: {line[:80]!r}", "names and units of the columns, or numbers",
+                      "correct or delete that line")  # fmt: skip
+
+
+def _alike(cells: list[str], row: list[str], decimal: str) -> int:
+    """How many cells are numbers with as many decimals as those of a row below."""
+    forms = [(decimals_of(a, decimal), decimals_of(b, decimal)) for a, b in zip(cells, row, strict=False)]
+    return sum(a == b and a[0] > 0 for a, b in forms)
 
 
 def _refuse_rows_of_channels(lines: list[str], source: Source) -> None:
@@ -352,116 +375,3 @@ def name_and_unit(cell: str) -> tuple[str, str | None]:
     if match["square"] is not None:
         return match["name"], match["square"].strip() or None
     return (match["name"], match["round"].strip()) if _units.known(match["round"]) else (cell.strip(), None)
-
-
-# -- rows of numbers, exact about the place of what is wrong -----------------------------------------------------------
-def rows_of(
-    body: list[tuple[int, str]],
-    separator: str | None,
-    decimal: str,
-    columns: NDArray[np.int64],
-    width: int,
-    source: Source,
-) -> NDArray[np.float64]:
-    """Numbers of some columns, shape (rows, len(columns)); an empty cell is NaN.
-
-    Parameters
-    ----------
-    body : list of (line number, line)
-    separator : str or None
-        None is any white space.
-    decimal : str
-        ``"."`` or ``","``.
-    columns : array of int
-        Columns to read.
-    width : int
-        Cells that every line must have at least.
-
-    Raises
-    ------
-    InputError
-        Names the line and the cell.
-    """
-    if not body:
-        return np.empty((0, len(columns)))
-    fast = _fast([line for _, line in body], separator, decimal, columns)
-    if fast is not None:
-        return fast
-    table = np.empty((len(body), len(columns)))
-    for row, (number, line) in enumerate(body):
-        cells = split(line, separator)
-        if len(cells) < width:
-            source.refuse("a line is too short", f"line {number}: {len(cells)} cells", f"{width} cells",
-                          "correct or delete that line")  # fmt: skip
-        for k, column in enumerate(columns):
-            value = number_of(cells[column], decimal)
-            if value is None:
-                source.refuse("a cell is no number", f"line {number}, column {int(column) + 1}: {cells[column][:40]!r}",
-                              f"a number with the decimal sign '{decimal}'",
-                              "correct that cell, or leave it empty where nothing was recorded")  # fmt: skip
-            table[row, k] = value
-    return table
-
-
-def _fast(
-    lines: list[str], separator: str | None, decimal: str, columns: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
-    text = "\n".join(lines)
-    if '"' in text or "\n\n" in text or "inf" in text.lower():
-        return None
-    if decimal == ",":
-        if "." in text:
-            return None
-        text = text.replace(",", ".")
-    try:
-        table = np.loadtxt(io.StringIO(text), float, None, separator, usecols=columns.tolist(), ndmin=2)
-    except (ValueError, IndexError, OverflowError):
-        return None
-    return table if table.shape == (len(lines), len(columns)) else None
-
-
-def split(line: str, separator: str | None) -> list[str]:
-    """Cells of a line, without quotes."""
-    if separator is None:
-        return line.split()
-    if '"' in line:
-        import csv
-
-        return [c.strip() for c in next(csv.reader([line], delimiter=separator))]
-    return [c.strip() for c in line.split(separator)]
-
-
-def number_of(cell: str, decimal: str) -> float | None:
-    """Number of a cell, NaN when it is empty, None when it is no number."""
-    text = cell.strip()
-    if not text:
-        return float("nan")
-    if decimal == ",":
-        if "." in text:
-            return None
-        text = text.replace(",", ".")
-    if not NUMBER.fullmatch(text):
-        return None
-    return float(text.replace("d", "e").replace("D", "e") if "n" not in text.lower() else text)
-
-
-def whole(last: str, others: Sequence[str], decimal: str = ".") -> bool:
-    """Whether the very last number of a text without a final line end has lost none of its digits.
-
-    That can be told where the other numbers of its column were written with so many decimals, or digits of an
-    exponent, and it has as many. A cut integer is an integer; where all the others have as many digits before the
-    point too, and it has not, the decimals may follow from significant digits.
-    """
-    lengths = {len(cell.strip().lstrip("+-").partition(decimal)[0]) for cell in others}
-    if len(lengths) == 1 and len(last.strip().lstrip("+-").partition(decimal)[0]) not in lengths:
-        return False
-    forms = [_form(cell, decimal) for cell in others if cell.strip() and cell.strip().lower() != "nan"]
-    if last.strip().lower() == "nan":
-        return True
-    return len(forms) >= ALIKE and len(set(forms)) == 1 and any(forms[0]) and _form(last, decimal) == forms[0]
-
-
-def _form(cell: str, decimal: str) -> tuple[int, int]:
-    """Decimals and digits of the exponent of a number; (0, 0) where there are none."""
-    match = NUMBER.fullmatch(cell.strip().replace(decimal, "."))
-    return (len(match["decimals"] or ""), len(match["exponent"] or "")) if match else (0, 0)

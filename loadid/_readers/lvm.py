@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from structures._flags import Flag
 
-from .csv_table import rows_of
+from .. import _stamps
+from .rows import rows_of
 from .settle import distinct
 from .source import COLUMNS, Options, Source, Table, register, truncated
 
@@ -135,10 +136,19 @@ def _segment(
     units = texts[:channels]
     units += [None] * (channels - len(units))
     tables = _cut_into_records(values, declared[0], names, units, dt, shape, source)
+    if begun := _begun(header):  # of the first record: those that follow it began at times that are not written
+        zero = 0.0 if tables[0].time is not None else _common(header, "X0", decimal, channels, source) or 0.0
+        tables[0] = replace(tables[0], begun=begun, start=zero)
     if lost and not tables[-1].flags:
         ended = truncated(0, declared[0], f"samples of the record that begins in line {first + 2 + len(body)}")
         tables[-1] = replace(tables[-1], flags=(ended,))
     return tables
+
+
+def _begun(header: dict[str, list[str]]) -> str:
+    """Date and time of the first sample of a segment, as its header states them for the first channel; else ""."""
+    text = " ".join(header.get(key, [""])[0].strip().replace(",", ".") for key in ("Date", "Time"))
+    return text if _stamps.form(text) == "stamp" else ""
 
 
 def _names(

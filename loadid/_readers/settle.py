@@ -17,10 +17,11 @@ from structures._advice import Advice, Option, either
 from structures._channels import Channel
 from structures.errors import InputError
 
-from .. import _stamps
 from .._names import copy_of, find
+from .clocks import clocked, gridded, positive
+from .resampling import onto_one_clock
 from .source import COLUMNS, RATE, NotStated, Options, RecordOutline, Source, Table
-from .timebase import Base, fill, timebase
+from .timebase import require_rising
 
 TIME_NAMES = {"time", "t", "zeit", "temps", "tiempo", "tempo", "x_value", "seconds", "timestamp", "time stamp", "t_s"}
 APART = 0.01  # relative difference of a stated and a recorded step that is a contradiction
@@ -158,6 +159,7 @@ def _channel_names(table: Table, source: Source, options: Options) -> tuple[tupl
         named = _named(table, source, replace(options, columns=None))
     names = named.columns or ()
     times = () if named.stamps is None else (named.clock, "time")
+    times = (*times, "time") if named.begun else times
     if named.time is None:
         return names, times
     return tuple(n for i, n in enumerate(names) if i != named.time), (names[named.time], *times)
@@ -228,14 +230,13 @@ def _looks_like_time(x: NDArray[Any]) -> bool:
 
 def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float | None]:
     """The table without its time column, and its step where the file or the caller states it."""
+    table, clock = clocked(table, source, options)
     dt = table.dt
-    if table.stamps is not None:
-        table, dt = _by_stamps(table, table.stamps, source, options)
-    elif table.time is not None:
-        table, dt = _by_time(table, table.time, source, options)
+    if clock is not None:
+        table, dt = gridded(table, clock, source, options)
     notes = list(table.notes)
     if options.fs is not None:
-        rate = _positive(options.fs, source)
+        rate = positive(options.fs, source)
         if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):
             notes.append(replaced(dt, 1.0 / rate))
         table, dt = replace(table, dt=dt), 1.0 / rate
@@ -244,63 +245,37 @@ def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, flo
     return replace(table, notes=tuple(notes)), dt
 
 
-def _by_time(table: Table, column: int, source: Source, options: Options) -> tuple[Table, float]:
-    """A table with a column of numbers that are time: without it, and the step."""
-    names, notes = table.columns or (), []
-    stated = [u for k, u in options.units.items() if k == names[column]]
-    text = stated[0] if stated else (table.units[column] if table.units else None)
-    unit = _units.check(text, "time", channel=names[column]) if text else None
-    raw, start = table.values[:, column], table.start
-    since = _stamps.epoch(raw[np.isfinite(raw)], unit.symbol if unit else None)
-    scale = since[1] if since else unit.factor if unit else 1.0
-    taken = "" if text else ", taken as seconds"
-    if since is not None and np.isfinite(raw[0]):  # the difference of whole numbers is exact where they are not
-        start, raw = float(raw[0]) * scale, raw - raw[0]
-        taken = "" if text else f", {since[0]} since 1970 by their size"
-    elif start is not None and np.isfinite(raw[0]):
-        start += float(raw[0]) * scale
-    rounding = float(np.spacing(abs(float(table.values[0, column])))) * scale if since else 0.0
-    base = timebase(raw.astype(float) * scale, source, rounding, table.dt)
-    notes += [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time column {names[column]}{taken}"]
-    keep = [i for i in range(len(names)) if i != column]
-    if not keep:
-        source.refuse("there is a time column and nothing else", names, "at least one channel")
-    units = tuple(table.units[i] for i in keep) if table.units else None
-    table = replace(table, values=table.values[:, keep], columns=tuple(names[i] for i in keep), units=units, time=None)
-    return _on_grid(replace(table, start=start), base, names[column], notes), base.dt
+def joined(tables: Sequence[Table], source: Source, options: Options) -> Table:
+    """Several tables of a file as one, resampled to the rate that is stated.
 
-
-def _by_stamps(table: Table, stamps: NDArray[Any], source: Source, options: Options) -> tuple[Table, float]:
-    """A table whose samples have time stamps: without them, and the step; a column of numbers that is time rules it."""
-    stated = next((str(u) for k, u in options.units.items() if str(k) in (table.clock, "time")), None)
-    where = f"{source.path}, column {table.clock}"
-    if stamps.dtype.kind == "M":
-        found = _stamps.of_datetimes(stamps, where, stated, table.aware)
-    else:
-        found = _stamps.of_texts(stamps.tolist(), where, stated)
-    table = replace(table, stamps=None, start=found.start, notes=(*table.notes, *found.notes))
-    if table.time is not None:
-        column = table.values[:, table.time]
-        zero = column - column[0] if len(column) and np.isfinite(column[0]) else column
-        values = np.column_stack([zero if i == table.time else x for i, x in enumerate(table.values.T)])
-        return _by_time(replace(table, values=values), table.time, source, options)
-    base = timebase(found.seconds, source, stated=table.dt)
-    notes = [] if dt_stated(table, options) else [f"step {base.dt:.9g} s from the time stamps in {table.clock}"]
-    return _on_grid(table, base, table.clock, notes), base.dt
-
-
-def dt_stated(table: Table, options: Options) -> bool:
-    """Whether both the file and the caller state the step, so that the time column gives none."""
-    return table.dt is not None and options.fs is not None
-
-
-def _on_grid(table: Table, base: Base, clock: str, notes: list[str]) -> Table:
-    """Samples on the full grid, and what is said of those that are missing."""
-    if base.missing:
-        many = "samples are" if base.missing > 1 else "sample is"
-        gone = f"{base.missing} {many} missing in the time column {clock}, first after sample {base.first}: set to NaN"
-        notes = [gone, *notes]
-    return replace(table, values=fill(table.values, base), notes=(*table.notes, *notes))
+    Raises
+    ------
+    InputError
+        No ``fs=``, a table of no step, only some that state when they begin; as for `onto_one_clock`.
+    """
+    found = [clocked(_named(table, source, options), source, options) for table in tables]
+    named = [table.name or f"record {i + 1}" for i, table in enumerate(tables)]
+    times: list[NDArray[np.float64]] = []
+    for name, (table, clock) in zip(named, found, strict=True):
+        if clock is None and table.dt is None:
+            source.refuse("the step of a record is not known", name, "records with a time column or a step",
+                          "read this record alone", NotStated)  # fmt: skip
+        own = clock.seconds if clock else np.arange(len(table.values), dtype=float) * (table.dt or 0.0)
+        require_rising(own, source)
+        times.append(own)
+    starts = [table.start for table, _ in found]
+    if None in starts and any(s is not None for s in starts):
+        source.refuse("only some records state when they begin", ", ".join(
+            n for n, s in zip(named, starts, strict=True) if s is None), "all of them, or none",
+            "read each record alone")  # fmt: skip
+    zero = starts[0] or 0.0
+    times = [t - t[0] + ((s or zero) - zero) for t, s in zip(times, starts, strict=True)]
+    if options.fs is None:
+        rates = ", ".join(f"{n}: {1 / np.median(np.diff(t)):.6g} Hz" for n, t in zip(named, times, strict=True))
+        source.refuse("several records are put onto one clock, whose rate is not stated", rates, "Hz", RATE, NotStated)
+    table, _ = onto_one_clock([t for t, _ in found], times, named, source, positive(options.fs, source))
+    together = () if starts[0] is not None else ("the records do not state when they begin: taken to begin together",)
+    return replace(table, notes=(*table.notes, *together))
 
 
 def replaced(own: float, dt: float) -> str:
@@ -321,16 +296,6 @@ def _required(dt: float | None, source: Source) -> float:
         source.refuse("the sampling frequency is not known", "no time column and no step in the file",
                       "a time column, or the sampling frequency in Hz", RATE, NotStated)  # fmt: skip
     return dt
-
-
-def _positive(fs: object, source: Source) -> float:
-    try:
-        rate = float(fs)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        rate = math.nan
-    if isinstance(fs, bool) or not (math.isfinite(rate) and rate > 0 and math.isfinite(1 / rate)):
-        source.refuse("the sampling frequency is not positive", f"fs = {fs!r}", "Hz, > 0", RATE)  # fmt: skip
-    return rate
 
 
 def _selection(names: tuple[str, ...], source: Source, options: Options) -> list[int]:

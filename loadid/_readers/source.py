@@ -142,7 +142,10 @@ class Table:
         What was decided.
     start : float or None
         When the file says that the record began, in s since 1970 (UTC): the first sample or, where there is a time
-        column, its zero.
+        column, its zero. Where `begun` is given, the seconds after it.
+    begun : str
+        Date and time from which `start` counts, as the file writes them: in their own zone, else in the one that is
+        stated for ``time``, else in UTC.
     stamps : array, shape (samples,), or None
         When each sample was taken: texts, or ``datetime64``; in the place of a time column.
     clock : str
@@ -160,6 +163,7 @@ class Table:
     flags: tuple[Flag, ...] = ()
     notes: tuple[str, ...] = ()
     start: float | None = None
+    begun: str = ""
     stamps: NDArray[Any] | None = None
     clock: str = "time"
     aware: bool = False

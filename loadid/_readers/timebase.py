@@ -8,10 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from structures._advice import Advice, either
+from structures.errors import InputError
+
 from .source import Source
 
 JITTER = 0.01  # deviation from the grid, in steps, that is still uniform
+LONE = 0.05  # share of stamps that may be damaged where all others keep one grid
 MISSING = 0.25  # share of dropped samples on the full grid beyond which a column is no time column
+
+
+class UnevenStampsError(InputError):
+    """Stamps that rise and are on no even grid: samples between them can be interpolated."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +43,65 @@ def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0, stat
     Raises
     ------
     InputError
-        NaN, stamps that do not rise, a step that is not constant.
+        NaN, stamps that do not rise; `UnevenStampsError` where the step is not constant or too many samples lack.
+    """
+    require_rising(t, source)
+    n, steps = len(t), np.diff(t)
+    rounding = max(_resolution(t), rounding)
+    typical = float(np.median(steps))
+    if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
+        typical = float(t[-1] - t[0]) / (n - 1)
+    slack = max(JITTER * typical, 1.01 * rounding, 8 * np.finfo(float).eps * float(np.abs(t).max()))
+    dt, place = _grid(t, _single(steps, typical), slack)
+    wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
+    if wrong.any() or np.diff(place).min() < 1:
+        i = int(np.argmax(np.abs(steps - typical)))
+        _refuse_damaged(t, place, typical, slack, source)
+        source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
+                      "a constant step", _resample(typical), UnevenStampsError)  # fmt: skip
+    missing = int(place[-1]) + 1 - n
+    if missing > MISSING * (n + missing):
+        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
+                      "cut the record at the gap", UnevenStampsError)  # fmt: skip
+    first = int(np.argmax(np.diff(place) > 1)) if missing else 0
+    away, count = slack_of(t, dt, place), float(place[-1])
+    fits = stated is not None and abs(stated - dt) <= max(_within(dt, count, away), 2.0 * rounding / count)
+    return Base(stated if fits and stated else _snap(dt, count, away), place, missing, first)
+
+
+def _refuse_damaged(
+    t: NDArray[np.float64], place: NDArray[np.int64], step: float, slack: float, source: Source
+) -> None:
+    """Nothing, unless all stamps but a few keep one grid: these are damaged, and no reason to resample the others."""
+    away = t - place * step
+    wrong = np.abs(away - np.median(away)) > slack
+    if 0 < wrong.sum() <= max(1, LONE * len(t)):
+        k = int(np.argmax(wrong))
+        source.refuse("a few stamps lie off the grid of all others",
+                      f"{int(wrong.sum())} of {len(t)}, the first that of sample {k}, {t[k]:.9g} s",
+                      f"time is not uniform there: a step of {step:.6g} s",
+                      "they are damaged: correct them, or leave the time column out and state --fs HZ")  # fmt: skip
+
+
+def _resample(step: float) -> Advice:
+    """What to do with stamps at uneven steps."""
+    rate = f"{_ceiling(1 / step):g}"
+    return Advice(f"state a rate of {rate} Hz or more to resample to: ", either(f"fs={rate}", f"--fs {rate}"),
+                  "; where the samples are even and only their stamps are not, leave the time column out")  # fmt: skip
+
+
+def _ceiling(rate: float) -> float:
+    """The next larger number of two digits."""
+    unit = 10.0 ** (np.floor(np.log10(rate)) - 1)
+    return float(np.ceil(rate / unit - 1e-9) * unit)
+
+
+def require_rising(t: NDArray[np.float64], source: Source) -> None:
+    """Nothing, if times are finite and rise.
+
+    Raises
+    ------
+    InputError
     """
     n = len(t)
     if n < 2 or not np.all(np.isfinite(t)):
@@ -47,25 +113,6 @@ def timebase(t: NDArray[np.float64], source: Source, rounding: float = 0.0, stat
         i = int(np.argmin(steps))
         source.refuse("time does not rise", f"{t[i]:.9g} s, then {t[i + 1]:.9g} s after sample {i}", "rising stamps",
                       "sort or repair the time column, or leave it out and state --fs HZ")  # fmt: skip
-    rounding = max(_resolution(t), rounding)
-    typical = float(np.median(steps))
-    if rounding > 0.2 * typical:  # steps of 0.000, 0.001, 0.001: only the whole column tells the step
-        typical = float(t[-1] - t[0]) / (n - 1)
-    slack = max(JITTER * typical, 1.01 * rounding, 8 * np.finfo(float).eps * float(np.abs(t).max()))
-    dt, place = _grid(t, _single(steps, typical), slack)
-    wrong = np.abs(t - t[0] - place * dt - np.median(t - t[0] - place * dt)) > slack
-    if wrong.any() or np.diff(place).min() < 1:
-        i = int(np.argmax(np.abs(steps - typical)))
-        source.refuse("time is not uniform", f"step {steps[i]:.6g} s after sample {i}, {typical:.6g} s elsewhere",
-                      "a constant step", "resample the record, or state --fs HZ without a time column")  # fmt: skip
-    missing = int(place[-1]) + 1 - n
-    if missing > MISSING * (n + missing):
-        source.refuse("too many samples are missing", f"{missing} missing, {n} there", f"at most {MISSING:.0%}",
-                      "cut the record at the gap")  # fmt: skip
-    first = int(np.argmax(np.diff(place) > 1)) if missing else 0
-    away, count = slack_of(t, dt, place), float(place[-1])
-    fits = stated is not None and abs(stated - dt) <= max(_within(dt, count, away), 2.0 * rounding / count)
-    return Base(stated if fits and stated else _snap(dt, count, away), place, missing, first)
 
 
 def fill(values: NDArray[Any], base: Base) -> NDArray[np.float64]:

@@ -82,8 +82,6 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
     notes = [*filter(None, [file.title]), *file.notes, *dict.fromkeys(note for f in run for note in f.notes)]
     said = [unit_of(f.head.axes[1], f.head.response[2], file.system) for f in run]
     notes += [f"{label}: {s.why}" for label, s in zip(labels, said, strict=True) if s.why]
-    if (begun := run[0].head.ids[2]) and _stamps.seconds(begun) is not None:
-        notes.append(f"begins at {begun} as the file says" + ("" if begun.endswith("Z") else ", taken as UTC"))
     columns = [_real(f, source) * _scale(s) for f, s in zip(run, said, strict=True)]
     texts: list[str | None] = [_text(s) for s in said]
     scale = _seconds(run[0], source)
@@ -92,19 +90,19 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
             notes.append(f"time begins at {run[0].head.start * scale:g} s in the file, at 0 in the record")
         return Table(
             np.column_stack(columns), name, tuple(labels), tuple(texts), dt=run[0].step * scale,
-            notes=tuple(notes), start=_start(run[0], scale),
+            notes=tuple(notes), start=scale * run[0].head.start, begun=_begun(run[0]),
         )  # fmt: skip
     time = run[0].abscissa * scale
     return Table(
         np.column_stack([time, *columns]), name, ("time", *labels), ("s", *texts), time=0, notes=tuple(notes),
-        start=_start(run[0], 0.0),
+        begun=_begun(run[0]),
     )  # fmt: skip
 
 
-def _start(function: Function, scale: float) -> float | None:
+def _begun(function: Function) -> str:
     """When the record began, of the third line of text, where instruments put it; its abscissa may begin later."""
-    begun = _stamps.seconds(function.head.ids[2])
-    return None if begun is None else begun + scale * function.head.start
+    text = function.head.ids[2].strip()
+    return text if _stamps.form(text) in ("stamp", "date") else ""
 
 
 def _real(function: Function, source: Source) -> Any:

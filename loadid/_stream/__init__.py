@@ -121,7 +121,7 @@ class _Run:
         before = stream or {}
         same = before.get("source") == _identity(source)
         self.follows = follows = Following(tracker, before, units, same)
-        self.source: ByteSource = open_source(source, before.get("place") if same else None, follows.another)
+        self.source: ByteSource = open_source(source, before.get("place") if same else None, follows.another, units)
         self.source.counts.update(before.get("waits") or {})
         follows.clock.again = follows.resumed and not (same and self.source.seekable)
         if follows.clock.again:

@@ -1,4 +1,4 @@
-"""Where samples come from: a growing file, standard input, a TCP socket. All of them give bytes as they come."""
+"""Where samples come from: a growing file, a folder, standard input, a TCP socket. All give bytes as they come."""
 
 from __future__ import annotations
 
@@ -11,15 +11,23 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
 
 from structures.errors import InputError
 
+from .._folders import listed
+
+if TYPE_CHECKING:
+    from .._folders import Folder
+
 PIECE = 1 << 16  # bytes read at once
+ROWS = 4096  # samples of a folder handed on at once
 QUEUED = 64  # pieces that may wait between source and filter
 WAITING = 0.02  # s between two looks at a file that has not grown
 HEAD = 4096  # bytes by which a file is known again
@@ -57,8 +65,11 @@ class ByteSource(Protocol):
         """Let go of it."""
 
 
-def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None) -> ByteSource:
-    """A file or named pipe, ``-`` for standard input, or ``tcp://HOST:PORT``.
+def open_source(
+    where: str, place: dict[str, Any] | None = None, fresh: Callable[[], None] | None = None,
+    units: Mapping[str, str] | None = None,
+) -> ByteSource:  # fmt: skip
+    """A file or named pipe, a folder of files, ``-`` for standard input, or ``tcp://HOST:PORT``.
 
     Parameters
     ----------
@@ -67,17 +78,22 @@ def open_source(where: str, place: dict[str, Any] | None = None, fresh: Callable
         Where a file stood (`ByteSource.place`).
     fresh : callable, optional
         Called where another file begins under the same name.
+    units : mapping, optional
+        Units of the channels of a folder whose files do not state them.
 
     Raises
     ------
     InputError
-        A file that is not there, standard input that is closed, a socket that nobody serves.
+        A file that is not there, a folder that makes no record, standard input that is closed, a socket that nobody
+        serves.
     """
     if where == "-":
         pipe = _standard_input()
         return Pumped(lambda: os.read(pipe, PIECE), lambda: None, where=where)
     if where.startswith("tcp://"):
         return connected(where)
+    if Path(where).is_dir():
+        return Pumped(_pieced(Path(where), units), lambda: None, where=where)
     if _is_pipe(Path(where)):
         return Pumped(_received(Path(where)), lambda: None, where=where)
     return GrowingFile(Path(where), place, fresh)
@@ -95,6 +111,8 @@ def require_source(where: str) -> None:
         _address(where)
     elif where == "-":
         _standard_input()
+    elif Path(where).is_dir():
+        listed(Path(where))
     elif not _is_pipe(Path(where)):  # to open that and leave it would end its sender
         _opened(Path(where)).close()
 
@@ -120,6 +138,46 @@ def _received(path: Path) -> Callable[[], bytes]:
         return data
 
     return receive
+
+
+def _pieced(path: Path, units: Mapping[str, str] | None) -> Callable[[], bytes]:
+    """Reads the record that the files of a folder make, in pieces, as lines of text in the units of the files."""
+    from .._readers import read_folder
+
+    stated: dict[str | int, Any] = {str(name): unit for name, unit in (units or {}).items()}
+    folder = read_folder(path, units=stated or None)
+    for note in folder.outline.notes[1:]:  # the first one counts the files
+        log.warning("%s: %s", path, note)
+    lines = _lines(folder)
+
+    def receive() -> bytes:
+        try:
+            return next(lines, b"")
+        except InputError as error:
+            raise OSError(str(error)) from error
+
+    return receive
+
+
+def _lines(folder: Folder) -> Iterator[bytes]:
+    """A heading, then rows: UTC in s since 1970 where it is known, else s after the first sample; gaps have none."""
+    from structures import units
+
+    headed, seen = False, 0  # samples: files that state no start follow one another without gaps
+    for piece in folder.pieces(ROWS):
+        if not headed:
+            names = [f"{label} [{unit}]" for label, unit in zip(piece.labels, piece.units, strict=True)]
+            yield (",".join(["time [s]", *names]) + "\n").encode()
+            headed = True
+        read = [units.from_si(x, units.stated(u)) for x, u in zip(piece.values.T, piece.units, strict=True)]
+        times = (seen * piece.dt if piece.start is None else piece.start) + piece.time
+        seen += len(piece)
+        rows = [
+            ",".join([repr(t), *("" if x != x else repr(x) for x in row)])
+            for t, row in zip(times.tolist(), np.column_stack(read).tolist(), strict=True)
+            if any(x == x for x in row)
+        ]
+        yield ("\n".join(rows) + "\n").encode()
 
 
 def _is_pipe(path: Path) -> bool:

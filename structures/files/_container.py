@@ -262,6 +262,7 @@ def _consistent(index: dict[str, NDArray[Any]], count: int, n: int, compressed: 
 
 
 MEMBERS = 10_000
+ZIP_END = 22 + 2**16  # bytes in which the end of an archive lies, with its longest comment
 
 
 def open_npz(path: Path) -> Container:
@@ -275,7 +276,10 @@ def open_npz(path: Path) -> Container:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError) as error:
+            _require_all(path, len(members))
+            for member in members:  # a name that is damaged in one of its two places is another array, or none
+                archive.open(member).close()
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, NotImplementedError, RuntimeError) as error:
         raise _damaged(path, error) from None
     size = sum(m.file_size for m in members)
     if len(members) > MEMBERS or size > BUDGET:
@@ -290,6 +294,21 @@ def open_npz(path: Path) -> Container:
         m.filename.removesuffix(".npy"): partial(_read, path, m) for m in members if m.filename.endswith(".npy")
     }
     return Container(str(path), arrays, {})
+
+
+def _require_all(path: Path, found: int) -> None:
+    """Nothing, if the directory of an archive has as many entries as its end declares (2^16 - 1: said elsewhere).
+
+    Raises
+    ------
+    zipfile.BadZipFile
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - ZIP_END))
+        tail = file.read()
+    declared = int.from_bytes(tail[(at := tail.rfind(b"PK\x05\x06") + 10) : at + 2], "little")
+    if declared not in (found, 2**16 - 1):
+        raise zipfile.BadZipFile(f"{found} of {declared} entries of the directory")
 
 
 def _read(path: Path, member: zipfile.ZipInfo) -> NDArray[Any]:

@@ -71,7 +71,9 @@ def _signed(path: Path) -> None:
             where=str(path),
             found=f"{size} bytes without the signature of HDF5",
             expected="a file that begins with it",
-            hint="transfer or export it again",
+            hint="save it in MATLAB with -v7 or -v7.3"
+            if path.suffix.lower() == ".mat"
+            else "transfer or export it again",
         )
     end = _end(head)
     if end is not None and end + (start if end + start <= size else 0) > size:

@@ -1,7 +1,7 @@
 """MAT files of level 5 (-v6, -v7): plain arrays of numbers and texts, sizes checked before unpacking.
 
 Only what a measured record needs is read: arrays, and where they are asked for (`read_structs`) structs and cells that
-hold such; objects and sparse matrices are listed and never built.
+hold such, or sparse matrices (`read_sparse`); objects are listed and never built.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MATRIX, _COMPRESSED, _UTF8, _UTF16 = 14, 15, 16, 17
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # class of an array in MATLAB -> what it becomes
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-_CHAR, _CELL, _STRUCT = 4, 1, 2
+_CHAR, _CELL, _STRUCT, _SPARSE = 4, 1, 2, 5
 DEPTH = 12  # levels of structs and cells
 PARTS = 100_000  # values within all structs of a file
 _OTHERS = {1: "cell", 2: "struct", 3: "object", 5: "sparse", 16: "function", 17: "opaque object", 18: "object"}
@@ -61,7 +61,7 @@ def read_level5(data: bytes, path: str) -> tuple[dict[str, NDArray[Any]], dict[s
         _refuse(path, "no MAT file of level 5", data[:20], "a file that MATLAB writes with -v6 or -v7")
     arrays: dict[str, NDArray[Any]] = {}
     others: dict[str, str] = {}
-    for name, value in _variables(data, path, nested=False):
+    for name, value in _variables(data, path):
         if name in arrays or name in others or len(arrays) + len(others) >= VARIABLES:
             _refuse(path, "a variable comes twice, or there are too many", name, f"{VARIABLES} names")
         if isinstance(value, str):
@@ -81,11 +81,22 @@ def read_structs(data: bytes, path: str) -> dict[str, Any]:
     InputError
         As `read_level5`; structs that are nested too deep or hold too much.
     """
-    return {name: v for name, v in _variables(data, path, nested=True) if isinstance(v, dict | list)}
+    return {name: v for name, v in _variables(data, path, "nested") if isinstance(v, dict | list)}
 
 
-def _variables(data: bytes, path: str, *, nested: bool) -> Iterator[tuple[str, Any]]:
-    """Names and values of all variables; of structs and cells what they hold, if it is asked for, else the word."""
+def read_sparse(data: bytes, path: str) -> dict[str, dict[str, NDArray[Any]]]:
+    """Sparse matrices of a file by their names: ``ir`` (rows), ``jc`` (where columns begin), ``data`` and ``shape``.
+
+    Raises
+    ------
+    InputError
+        As `read_level5`.
+    """
+    return {name: v for name, v in _variables(data, path, "sparse") if isinstance(v, dict)}
+
+
+def _variables(data: bytes, path: str, method: str = "matrix") -> Iterator[tuple[str, Any]]:
+    """Names and values of all variables, as a method of the reader gives them."""
     reader = _Reader(path, MARKS[data[124:128]], min(LEVEL5_BUDGET, max(FREE, EXPANSION * len(data))))
     at = HEADER
     while at < len(data):
@@ -99,7 +110,7 @@ def _variables(data: bytes, path: str, *, nested: bool) -> Iterator[tuple[str, A
         if inner.type != _MATRIX:
             _refuse(path, "no variable", f"data element of type {inner.type}", "an array", at)
         if inner.size:
-            yield reader.nested(body, inner, at, 0) if nested else reader.matrix(body, inner, at)
+            yield getattr(reader, method)(body, inner, at)
         at = tag.beyond
 
 
@@ -152,7 +163,27 @@ class _Reader:
             _refuse(self.path, "a compressed variable is cut or damaged", f"{len(body)} bytes", f"{size + 8}", at)
         return body
 
-    def nested(self, data: bytes, whole: Tag, at: int, depth: int) -> tuple[str, Any]:
+    def sparse(self, data: bytes, whole: Tag, at: int) -> tuple[str, Any]:
+        """Name and parts of a sparse matrix; of any other variable None."""
+        data = data[: whole.start + whole.size]
+        name, flags, sizes, start = self.head(data, whole, at)
+        if flags & 0xFF != _SPARSE:
+            return name, None
+        parts: dict[str, NDArray[Any]] = {"shape": np.array(sizes)}
+        for part in ("ir", "jc", "data", *(["imaginary"] if flags & 0x0800 else [])):
+            tag = self.tag(data, start)
+            self.allow(8 * tag.size, at)
+            parts[part], start = self.values(data, tag, at), tag.beyond
+        count = int(parts["jc"][-1]) if len(parts["jc"]) else 0
+        for part in ("ir", "data"):  # room beyond the last column holds nothing
+            if not 0 <= count <= len(parts[part]):
+                _refuse(self.path, f"truncated: {len(parts[part])} of {count} numbers", repr(name), str(count), at)
+            parts[part] = parts[part][:count]
+        if "imaginary" in parts:
+            parts["data"] = parts["data"] + 1j * parts.pop("imaginary")[:count]
+        return name, parts
+
+    def nested(self, data: bytes, whole: Tag, at: int, depth: int = 0) -> tuple[str, Any]:
         """Name and value of a variable or of a part of one, structs and cells with what they hold."""
         self.parts -= 1
         if depth > DEPTH or self.parts < 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..errors import InputError, plain, shown
 from . import _storage as storage
 from ._container import SPELLINGS, Container, open_npz
 from ._hdf5 import KIND, open_hdf5
+from ._mat_level5 import LEVEL5_BUDGET, is_level5, read_level5, read_sparse
 from ._storage import as_path
 from ._text import from_arrays, read_market, read_table
 
@@ -40,12 +42,12 @@ def load(
     length_unit: str = "m",
     force_unit: str = "N",
 ) -> Structure:
-    """Structure from K, M and C in npz, Matrix Market or HDF5 files.
+    """Structure from K, M and C in npz, Matrix Market, MATLAB or HDF5 files.
 
     Parameters
     ----------
     path : path, list of paths, or dict
-        ``"model.npz"``, ``"model.h5"`` (also MATLAB 7.3), or a file for each matrix:
+        ``"model.npz"``, ``"model.h5"``, ``"model.mat"`` (any version from -v6 on), or a file for each matrix:
         ``{"K": "stiff.mtx", "M": "mass.mtx"}``. Of a list, the file names say which is which (K.mtx, wing_M.mtx,
         stiffness.mtx).
     dofs : path or sequence of DOFs, optional
@@ -177,7 +179,7 @@ def _existing(given: Any) -> Path:
             "no such file" if not path.exists() else "this is no file",
             where=str(path),
             found="a folder" if path.is_dir() else "nothing",
-            expected="a .npz, .mtx or .h5 file",
+            expected="a .npz, .mtx, .mat or .h5 file",
             hint="check the path",
         )
     return path
@@ -187,20 +189,43 @@ def _open(path: Path) -> Container | None:
     """Container of a file; None for Matrix Market."""
     suffix = path.suffix.lower()
     with path.open("rb") as file:
-        head = file.read(14)
-    if suffix == ".mtx" or head.lower() == b"%%matrixmarket":
+        head = file.read(128)
+    if suffix == ".mtx" or head[:14].lower() == b"%%matrixmarket":
         return None
     if suffix == ".npz" or head[:2] == b"PK":
         return open_npz(path)
+    if is_level5(head):
+        return _level5(path)
     if suffix in HDF5 or head[1:4] == b"HDF" or head.startswith(b"loadid-hdf5"):
         return open_hdf5(path)
     raise InputError(
         "a file of a kind that is not read",
         where=str(path),
         found=path.suffix or "no suffix",
-        expected=".npz, .mtx, .h5 or .hdf5",
+        expected=".npz, .mtx, .mat, .h5 or .hdf5",
         hint="export K and M as Matrix Market or npz",
     )
+
+
+def _level5(path: Path) -> Container:
+    """Arrays of a file that MATLAB wrote with -v6 or -v7, sparse ones in their parts."""
+    if path.stat().st_size > LEVEL5_BUDGET:
+        raise InputError("the file is too large", where=str(path), found=f"{path.stat().st_size} bytes",
+                         expected=f"at most {LEVEL5_BUDGET} bytes", hint="save it with -v7.3")  # fmt: skip
+    data = path.read_bytes()
+    arrays, others = read_level5(data, str(path))
+    found: dict[str, Any] = {name: partial(np.asarray, values) for name, values in arrays.items()}
+    if "sparse" in others.values():
+        for name, parts in read_sparse(data, str(path)).items():
+            found |= {f"{name}/{part}": partial(np.asarray, values) for part, values in parts.items()}
+    if not found:
+        raise InputError(
+            "a MAT file without matrices", where=str(path),
+            found=", ".join(f"{name} ({kind})" for name, kind in list(others.items())[:12]) or "nothing",
+            expected="K, and M and C where they are known, as full or sparse matrices",
+            hint="save them as variables of their own: save('model.mat', 'K', 'M')",
+        )  # fmt: skip
+    return Container(str(path), found, {})
 
 
 def _single(path: Path, names: Mapping[str, str]) -> tuple[dict[str, Any], Container | None]:

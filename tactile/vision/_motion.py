@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loadid._readers.csv_table import whole
+from loadid._readers.rows import whole
 from loadid._readers.source import truncated
 from structures._advice import Advice, Spelling
 from structures._flags import Flag

@@ -276,6 +276,34 @@ class TestRecords:
         assert len(ledger(tmp_path)) == 2
         assert not (tmp_path / "out" / "results").exists()
 
+    def test_a_folder_is_one_record(self, tmp_path: Path) -> None:
+        """Against the same samples in one file; a gap between two files is missing samples."""
+        plan = fleet(tmp_path, assets=2, records=0, more=JOB)
+        record(tmp_path / "whole.npz", 12_000, 3)
+        with np.load(tmp_path / "whole.npz") as held:
+            y, rate = np.array(held["y0"]), float(held["fs"])
+        for k, (first, last) in enumerate([(0, 4000), (4000, 9000), (9040, 12_000)]):
+            start = np.datetime64("2026-03-01", "ns") + np.timedelta64(round(first * 1e9 / rate), "ns")
+            (tmp_path / "b0" / "day").mkdir(parents=True, exist_ok=True)
+            np.savez(tmp_path / "b0" / "day" / f"{k}.npz", y0=y[first:last], fs=rate, start=str(start))
+        y[9000:9040] = np.nan
+        (tmp_path / "b1").mkdir()
+        np.savez(tmp_path / "b1" / "day.npz", y0=y, fs=rate)
+        text = plan.read_text().replace("{name}/*.npz", "{name}/day*").replace('start = "%Y%m%d_%H%M.npz"', "")
+        plan.write_text(text.replace('name = "b0"', 'name = "b0"\nrecords = "b0/*/"'))
+        assert cli.main(["batch", str(plan)]) == 0
+        found = {row["record"]: row for row in rows(tmp_path, "records")}
+        assert {Path(name).name for name in found} == {"day", "day.npz"}
+        for table, keys in (("loads", ("peak", "rms", "samples")), ("sensors", ("missing", "rms"))):
+            one, two = sorted(rows(tmp_path, table), key=lambda row: row["record"])
+            assert [float(one[k]) for k in keys] == pytest.approx([float(two[k]) for k in keys], rel=1e-9)
+        assert float(one["missing"]) == pytest.approx(40 / 12_000)
+        before = len(ledger(tmp_path))
+        (tmp_path / "b0" / "day" / "2.npz").write_bytes(b"no archive")  # its bytes are part of the key
+        assert cli.main(["batch", str(plan), "--resume"]) != 0
+        assert len(ledger(tmp_path)) > before
+        assert "2.npz" in next(row["said"] for row in rows(tmp_path, "records") if row["status"] != "done")
+
     def test_parquet_records(self, tmp_path: Path) -> None:
         pa = pytest.importorskip("pyarrow")
         from pyarrow import parquet

@@ -1,8 +1,11 @@
 """Damage small files of every kind and read them: only an InputError may leave a door, and nothing be lost in silence.
 
-``python -m tests.benchmarks.fuzz [COUNT] [NAME ...]`` prints what comes of COUNT mutants of each kind, or of those
-whose names begin so. Each mutant is a seeded truncation (35 %), an overwriting of bytes (40 %) or of a block (15 %), or
-an insertion. Where a file has a hash ("signed"), the mutant gets the right one: damage that somebody made on purpose.
+``python -m tests.benchmarks.fuzz [COUNT | FIRST-LAST] [NAME ...]`` prints what comes of the mutants of so many seeds of
+each kind of file, or of those whose names begin so. Each mutant is a seeded truncation (35 %), an overwriting of bytes
+(40 %) or of a block (15 %), or an insertion. Where a file has a hash ("signed"), the mutant gets the right one: damage
+that somebody made on purpose. Seeds of what is shorter, and of other exceptions, are named. The files lie in memory
+where the system has such a folder, and a child that hangs is given a second: 5000 mutants of all kinds take some 12
+minutes of processor time.
 """
 
 from __future__ import annotations
@@ -61,31 +64,50 @@ def logs(path: Path) -> tuple[list[Any], bool]:
 def outcomes(path: Path | Door, count: int, folder: Path) -> Iterator[tuple[str, str, float]]:
     """Kind of damage, what came of it and the seconds it took; an exception other than InputError passes through."""
     door = path if isinstance(path, Door) else Door(path.suffix, path, logs)
-    data = door.path.read_bytes()
-    whole, _ = door.read(door.path)
+    data, whole = door.path.read_bytes(), door.read(door.path)[0]
     for seed in range(count):
-        kind, damaged = mutant(data, seed)
-        place = folder / f"mutant{door.path.suffix}"
-        place.write_bytes(door.mend(damaged))
-        start = time.perf_counter()
         try:
-            found, flagged = door.read(place)
-        except InputError:
-            yield kind, "refused", time.perf_counter() - start
-            continue
+            yield outcome(door, data, whole, seed, folder)
         except Exception as error:
             error.add_note(f"{door.name}, seed {seed}")
             raise
-        seconds = time.perf_counter() - start
-        same = len(found) == len(whole) and all(map(equal, found, whole))
-        fewer = len(found) < len(whole) or sum(map(np.size, found)) < sum(map(np.size, whole))
-        yield kind, "same" if same else "flagged" if flagged else "shorter" if fewer else "other values", seconds
+
+
+def outcome(door: Door, data: bytes, whole: list[Any], seed: int, folder: Path) -> tuple[str, str, float]:
+    """What came of one mutant of a file whose bytes and arrays are `data` and `whole`; see `outcomes`."""
+    kind, damaged = mutant(data, seed)
+    place = folder / f"mutant{door.path.suffix}"
+    place.write_bytes(door.mend(damaged))
+    start = time.perf_counter()
+    try:
+        found, flagged = door.read(place)
+    except InputError:
+        return kind, "refused", time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    same = len(found) == len(whole) and all(map(equal, found, whole))
+    fewer = len(found) < len(whole) or sum(map(np.size, found)) < sum(map(np.size, whole))
+    return kind, "same" if same else "flagged" if flagged else "shorter" if fewer else "other values", seconds
 
 
 def equal(one: Any, other: Any) -> bool:
     """Whether two arrays or values are the same, NaN for NaN."""
     one, other = np.asarray(one), np.asarray(other)
     return one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def log_doors(folder: Path) -> list[Door]:
+    """Logs in further dialects of their formats."""
+    from tests.loadid.readers import exports, files
+    from tests.structures.test_curves import block, cell, mat, mat73, sdynpy
+
+    (folder / "german.csv").write_text(files.csv(separator=";", decimal=","))
+    (folder / "headings.lvm").write_text(files.lvm(columns="One", multi=True, samples=8))
+    mat73(folder / "v73.mat", {"F": files.F, "a": files.A, "fs": 1000.0})
+    mat(folder / "simcenter.mat", False, run=block(np.column_stack((files.F, files.A)), "N", name=cell("1:+Z", "2:-X")))
+    sdynpy(folder / "sdynpy.npz", 1, files.T, np.array([files.F, files.A]), [[(1, 3)], [(2, -1)]])
+    exports.mdf(folder / "v3.mdf", "3.30")
+    exports.miniseed(folder / "v3.mseed", 3)
+    return [Door(f"log {p.name}", p, logs) for p in sorted(folder.iterdir())]
 
 
 def doors(folder: Path) -> list[Door]:
@@ -245,29 +267,44 @@ def image_doors(folder: Path) -> list[Door]:
     return stacks + [Door(f"markers {n}", folder / n, read_motion) for n in ("motion.npy", "motion.csv")]
 
 
-def main(count: int, names: list[str]) -> None:
+def main(seeds: range, names: list[str]) -> None:
     """Print one line per kind of file."""
+    from structures.files import _child
     from tests.loadid.readers.files import small_files
 
+    _child.PATIENCE = 1.0  # these files are small
+    memory = Path("/dev/shm")
     print(
-        f"{'kind':18}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'slowest s':>11}"
+        f"{'kind':20}{'mutants':>9}{'refused':>9}{'flagged':>9}{'same':>7}{'shorter':>9}{'other':>7}{'foreign':>9}"
+        f"{'slowest s':>11}"
     )
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
         folder = Path(name)
         every = [Door(f"log {s}", p, logs) for s, p in small_files(folder).items()]
-        (folder / "more").mkdir()
-        every += doors(folder / "more")
+        for made in (log_doors, doors):
+            (folder / made.__name__).mkdir()
+            every += made(folder / made.__name__)
         for door in every:
             if names and not door.name.startswith(tuple(names)):
                 continue
             told: Counter[str] = Counter()
-            slowest = 0.0
-            for _, outcome, seconds in outcomes(door, count, folder):
-                told[outcome] += 1
+            slowest, said = 0.0, []
+            data, whole = door.path.read_bytes(), door.read(door.path)[0]
+            for seed in seeds:
+                try:
+                    _, found, seconds = outcome(door, data, whole, seed, folder)
+                except Exception as error:
+                    found, seconds = "foreign", 0.0
+                    said.append(f"seed {seed}: {type(error).__name__}: {error}"[:160])
+                if found == "shorter":
+                    said.append(f"seed {seed}: shorter")
+                told[found] += 1
                 slowest = max(slowest, seconds)
-            counts = [told[k] for k in ("refused", "flagged", "same", "shorter", "other values")]
-            print(f"{door.name:18}" + "".join(f"{n:10}" for n in (count, *counts)) + f"{slowest:10.3f}", flush=True)
+            counts = [told[k] for k in ("refused", "flagged", "same", "shorter", "other values", "foreign")]
+            print(f"{door.name:20}{len(seeds):9}{counts[0]:9}{counts[1]:9}{counts[2]:7}{counts[3]:9}{counts[4]:7}"
+                  f"{counts[5]:9}{slowest:11.3f}", *(f"\n    {one}" for one in said[:12]), flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1000, sys.argv[2:])
+    first, _, last = (sys.argv[1] if len(sys.argv) > 1 else "1000").rpartition("-")
+    main(range(int(first or 0), int(last)), sys.argv[2:])

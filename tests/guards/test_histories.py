@@ -138,6 +138,18 @@ def cut_file(tmp: list, cut: int) -> tuple[Flag, ...]:
     return (*flags(model, record), *record.flags)
 
 
+def uneven_file(tmp: list, band: float) -> tuple[Flag, ...]:
+    """A text log of uneven stamps with a response of some frequency (Hz), resampled and inverted."""
+    rng = np.random.default_rng(0)
+    t = np.cumsum(DT * (1 + 0.3 * rng.uniform(-1, 1, N + 20)))
+    y = np.sin(2 * np.pi * band * t[:, None] + np.arange(3))
+    rows = ["t,s0,s1,s2", *(",".join(f"{x:.9e}" for x in (a, *b)) for a, b in zip(t, y, strict=True))]
+    path = tmp[0] / "uneven.csv"
+    path.write_text("\n".join(rows) + "\n")
+    record = read(path, fs=1 / DT, units={f"s{i}": "m/s^2" for i in range(3)}).window(0, N * DT)
+    return (*flags(arrays(impulse()), record), *record.flags)
+
+
 def smooth_kernel() -> ImpulseModel:
     """A response that begins slowly: the problem is ill-posed and the L-curve has its corner."""
     t = np.arange(N) * DT
@@ -320,6 +332,12 @@ CASES = [
         "a gap that the fit leaves out",
     ),
     Case("W209", lambda: cut_file(TMP, 8), lambda: cut_file(TMP, 0), r"truncated: 99 of 100 rows"),
+    Case(
+        "W220",
+        lambda: uneven_file(TMP, 0.4 / DT),
+        lambda: uneven_file(TMP, 0.02 / DT),
+        r"resampled to .* over the std of the channel is s\d \d\.\d+",
+    ),
     Case(
         "W210",
         lambda: flags(arrays(impulse()), gapped(0.6), noise=1.0, choice=0.1),

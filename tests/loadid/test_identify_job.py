@@ -77,6 +77,32 @@ def asked(run: Any, out: Path, *words: Any, log: str = "log.csv", model: str = "
 
 
 # -- the table ---------------------------------------------------------------------------------------------------------
+def test_a_mean_says_what_it_lacks(folder, tmp_path):
+    lines = (folder / "frames.csv").read_text().splitlines()
+    cells = lines[3].split(",")
+    lines[3] = ",".join([cells[0], cells[1], "", *cells[3:]])
+    (tmp_path / "frames.csv").write_text("\n".join(lines) + "\n")
+    found = identify(tmp_path / "frames.csv", folder / "patches.h5", family="static", mean=(0.1, 0.3))
+    said = "mean over 0.1 to 0.3 s: 1 of 3 samples of s1 are missing"
+    assert said in found.provenance["notes"]
+    assert said in found.summary()
+    whole = identify(folder / "frames.csv", folder / "patches.h5", family="static", mean=(0.1, 0.3))
+    assert not any("missing" in note for note in whole.provenance["notes"])
+
+
+def test_mistakes_of_a_job_are_told_in_its_own_words(tmp_path):
+    job = tmp_path / "a.toml"
+    job.write_text("log = 'a.csv'\nnoise = = 3\n")
+    with pytest.raises(InputError, match="the job is no TOML"):
+        read_job(job)
+    job.write_text("suport = [0.1, 0.2]\n")
+    with pytest.raises(
+        InputError, match=r"no such key; .*expected: support, .*in all\).*did you mean 'support'"
+    ) as caught:
+        read_job(job)
+    assert len(str(caught.value)) < 400
+
+
 @pytest.mark.parametrize("family", _settings.FAMILIES)
 def test_every_setting_of_python_is_written_or_said_why_not(family: str) -> None:
     kind = _settings.load_family(family)

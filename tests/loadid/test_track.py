@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, EntryPoints
 import numpy as np
 import pytest
 
+import loadid
 from loadid import cli
 from loadid._families.tracking import tracker as checkpoint
 from loadid._families.tracking.tracker import Tracker
@@ -56,6 +57,38 @@ def expected(made, samples=None):
     tracker, Y = Tracker.load(made[3]), made[1][:samples]
     load, std, _ = tracker.run(Y)
     return np.column_stack([np.round(np.arange(len(Y)) * tracker.fitted.dt, 6), load, std])
+
+
+def test_a_folder_by_the_hour_is_tracked_as_one_log(made, run, tmp_path):
+    """Against the tracker in Python on the same samples, with a gap between two files and a file that came later."""
+    tracker, Y = made[0], made[1]
+    f, folder = tracker.fitted, tmp_path / "hours"
+    out, state = tmp_path / "out.csv", tmp_path / "state.h5"
+    folder.mkdir()
+
+    def hour(name, first, last):
+        loadid.Record(Y[first:last], f.dt, f.sensors, start=1.8e9 + first * f.dt).to_csv(folder / name)
+
+    hour("a.csv", 0, 200)
+    hour("b.csv", 230, 400)
+    argv = ["--model", made[3], "--state", state, "--in", folder, "--out", out]
+    code, _, err = run(*argv)
+    assert (code, err.count("gap") > 0) == (0, True)
+    gapped = Y.copy()
+    gapped[200:230] = np.nan
+    load, _, _ = Tracker.load(made[3]).run(gapped)
+    found = table(out)
+    np.testing.assert_allclose(found[:, 1], load[: len(found), 0], rtol=1e-9, atol=1e-9 * np.nanstd(load))
+    np.testing.assert_allclose(found[:, 0] - 1.8e9, np.arange(400) * f.dt, atol=1e-5)
+    hour("c.csv", 400, 600)
+    assert run(*argv)[0] == 0
+    found = table(out)
+    assert len(found) == 600
+    np.testing.assert_allclose(found[:, 1], load[:, 0], rtol=1e-9, atol=1e-9 * np.nanstd(load))
+    (folder / "b.csv").write_text("no numbers\n")
+    code, _, err = run(*argv)
+    assert code == cli.BAD_INPUT
+    assert "b.csv" in err
 
 
 def test_a_log_in_two_runs_is_the_log_in_one(made, run, tmp_path):

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import re
 import struct
 import zipfile
 
@@ -108,9 +109,20 @@ def matlab_h5(path):
         f["nodes"], f["directions"] = np.repeat(np.arange(5.0), 2)[None], np.tile([3.0, -5.0], 5)[None]
 
 
+def dense_level5(path):
+    scipy.io.savemat(path, {"K": K, "M": M, "dofs": np.array(LABELS)}, do_compression=True)
+
+
+def sparse_level5(path):
+    nodes, directions = np.repeat(np.arange(5.0), 2), np.tile([3.0, -5.0], 5)
+    scipy.io.savemat(
+        path, {"K": sparse.csc_matrix(K), "M": sparse.csc_matrix(M), "nodes": nodes, "directions": directions}
+    )
+
+
 WRITERS = {
     "dense.npz": dense_npz, "sparse.npz": sparse_npz, "spelled.npz": spelled_npz, "dense.h5": dense_h5,
-    "matlab.mat": matlab_h5,
+    "matlab.mat": matlab_h5, "dense.mat": dense_level5, "sparse.mat": sparse_level5,
 }  # fmt: skip
 
 
@@ -118,6 +130,28 @@ WRITERS = {
 def test_what_others_write_is_read(tmp_path, name):
     WRITERS[name](tmp_path / name)
     same(files.load(tmp_path / name, supports=BEAM.supports, coordinates=BEAM.coordinates), BEAM)
+
+
+def test_a_mat_file_without_matrices_says_what_it_holds(tmp_path):
+    scipy.io.savemat(tmp_path / "m.mat", {"model": {"K": K, "M": M}})
+    with pytest.raises(InputError, match=r"without matrices; found: model \(struct\).*save\('model.mat', 'K', 'M'\)"):
+        files.load(tmp_path / "m.mat")
+    (tmp_path / "old.mat").write_bytes(bytes(400))
+    with pytest.raises(InputError, match=r"with -v7 or -v7\.3"):
+        files.load(tmp_path / "old.mat")
+
+
+def test_a_member_of_an_archive_that_was_renamed_or_swallowed_is_damage(tmp_path):
+    files.save(BEAM, tmp_path / "m.npz")
+    data = (tmp_path / "m.npz").read_bytes()
+    renamed = [data[:at] + b"X" + data[at + 1 :] for at in (m.start() for m in re.finditer(b"M_data", data))]
+    at = data.rindex(b"K_indptr") - 14  # length of the comment in its entry of the directory: it takes the next ones
+    size = len(data) - data.rindex(b"K_indptr") - len("K_indptr.npy") - 22
+    swallowed = data[:at] + size.to_bytes(2, "little") + data[at + 2 :]
+    for damaged in (*renamed, swallowed):
+        (tmp_path / "m.npz").write_bytes(damaged)
+        with pytest.raises(InputError, match="no NumPy archive, or a damaged one"):
+            files.load(tmp_path / "m.npz")
 
 
 def test_groups_in_hdf5_are_named(tmp_path):
