@@ -19,7 +19,8 @@ from .._models.tabulated import FrfModel
 from ..errors import InputError, whole
 from . import kinds
 from .impact import judge, unusable
-from .modalfit import FrfBand, ModalFit, reweighted, selected
+from .modalfit import FrfBand, ModalFit
+from .modalorder import reweighted, selected
 from .normalmodes import NormalFit, normal
 from .polyreference import ORDERS, REFERENCES, Stabilisation, stabilisation
 from .spectra import smooth_lines
@@ -229,6 +230,7 @@ def identify_modes(
     table = _table(source, forces, responses, dt, kind, segment)
     picked = _picked(table, band)
     fitted_band, turned, weights_known = _prepared(picked)
+    stated = fitted_band.std if weights_known else None
     poles, participation, found = _start(fitted_band, order)
     if not len(poles):
         raise _nothing(found)
@@ -244,7 +246,7 @@ def identify_modes(
     fit, inside = _sorted(fit, fitted_band)
     if not inside:
         raise _nothing(found)
-    real = normal(fitted_band, fit)
+    real = normal(fitted_band, fit, stated)
     return _result(picked, fitted_band, fit, real, inside, turned, found, dropped, driven)
 
 
@@ -371,13 +373,7 @@ def _sorted(fit: ModalFit, band: FrfBand) -> tuple[ModalFit, int]:
     std = np.sqrt(np.diag(fit.covariance))[: len(f)]
     known = (std < SURE * np.abs(fit.poles.real)) & (-fit.poles.real < BROAD * np.abs(fit.poles))
     within = (fit.stayed | (known & (fit.misfit < MISFIT))) & (f >= band.f[0]) & (f <= band.f[-1])
-    rank = np.lexsort((f, ~within))
-    both = np.concatenate([rank, len(rank) + rank])
-    moved = replace(
-        fit, poles=fit.poles[rank], participation=fit.participation[rank], shapes=fit.shapes[rank],
-        covariance=fit.covariance[np.ix_(both, both)], stayed=fit.stayed[rank],
-    )  # fmt: skip
-    return moved, int(within.sum())
+    return fit.ranked(np.lexsort((f, ~within))), int(within.sum())
 
 
 # -- what is told -----------------------------------------------------------------------------------------------------
@@ -407,7 +403,7 @@ def _result(
     top = np.max(np.abs(S[:n]), axis=1, initial=0)
     shown = np.where(known[:, None], S[:n], S[:n] / np.where(top > 0, top, 1)[:, None])
     far = real.low
-    w = 2 * np.pi * real.frequencies
+    w = np.abs(real.rest_poles)
     model = _modelled(table, band, real, S, B, rest, n, turned)
     told = outputs if outputs.shape[1] > 1 else references
     result = MeasuredModes(
@@ -453,11 +449,9 @@ def _masses(
         product = sign * S[:, i] * B[:, j]  # square of the shape of unit mass at the driven points
         square = product.sum(axis=1) / np.maximum(np.sum(S[:, i] ** 2, axis=1), np.finfo(float).tiny)
         scale = np.where(square > 0, np.sqrt(np.maximum(square, 0)), np.nan)
-        at = (j, i) if turned else (i, j)
-        size, slope = np.abs(S[:, i] * B[:, j]), real.slope[at]
-        power = np.einsum("ekp,pr,ekr->ke", slope, real.poles_covariance, slope)[:n]
-        std = np.sqrt(np.einsum("ekk->ke", real.covariance[at])[:n] + power)
-        relative = np.min(std / np.maximum(size, np.finfo(float).tiny), axis=1)
+        at = zip(j, i, strict=True) if turned else zip(i, j, strict=True)
+        std = np.sqrt([real.residue_variance(o, r)[:n] for o, r in at])
+        relative = np.min(std / np.maximum(np.abs(S[:, i] * B[:, j]).T, np.finfo(float).tiny), axis=0)
     top = np.maximum(np.max(np.abs(S), axis=1, initial=0) * scale, np.max(np.abs(B), axis=1, initial=0) / scale)
     mass = 1 / np.where(top > 0, top, np.nan) ** 2
     return scale, mass, mass * relative
@@ -469,12 +463,12 @@ def _modelled(
     """Forward model of the modes and of resonators for what lies outside the band, one for each rank of their share."""
     lam, damping = [*(np.abs(real.poles) ** 2)], [*(-2 * real.poles.real)]
     rows, columns = [*S], [*B]
-    for matrix, f, z in zip(rest, real.frequencies, real.rest_damping, strict=True):
+    for matrix, p in zip(rest, real.rest_poles, strict=True):
         U, sizes, V = np.linalg.svd(matrix, full_matrices=False)
         for u, size, v in zip(U.T, sizes, V, strict=True):
             if size > 1e-9 * sizes[0]:
-                lam.append((2 * np.pi * f) ** 2)
-                damping.append(4 * np.pi * z * f)
+                lam.append(abs(p) ** 2)
+                damping.append(-2 * p.real)
                 rows.append(u * np.sqrt(size))
                 columns.append(v * np.sqrt(size))
     reduced = ReducedModel(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import ABOVE_DAMPING, BELOW_DAMPING, FrfBand, ModalFit, outside, real_rows, root_of
+from .modalfit import FrfBand, ModalFit, each_reference, moved_slopes, real_rows, resonators, root_of
+from .spectra import smooth_lines
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-ROUNDS = 6  # of shapes and participations in turn
+ROUNDS = 6  # of Gauss and Newton for the participations, at most
+DONE = 1e-8  # relative fall of the squared residual that ends them
+CHANCE = 3.0  # std of a smoothed power, beyond which it is no chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,91 +30,160 @@ class NormalFit:
         The largest entry of each is 1.
     shapes : array (modes, outputs)
     rest : array (resonators, outputs, references)
-        Of the modes outside the band, as `structures._testing.modalfit.resonator` answers.
-    frequencies : array (resonators,)
-        Theirs in Hz.
-    low : array of bool (resonators,)
-        Those below the band.
-    covariance : array (outputs, references, unknowns, unknowns)
-        Of residues and rest of each entry for given poles, as if entries shared no shape: rather too large.
-    slope : array (outputs, references, unknowns, 2 modes)
-        How these follow the real parts of the poles, and their imaginary parts.
-    poles_covariance : array (2 modes, 2 modes)
+        Of the modes outside the band, as `structures._testing.modalfit.resonators` answer.
+    rest_poles : array (resonators,), complex
+    top : float
+        Last line of the band in Hz.
+    covariance : array (outputs, unknowns, unknowns)
+        Of shapes and rest of each output, for given common unknowns.
+    slope : array (outputs, unknowns, common)
+        How these follow the common unknowns: real parts of the poles, imaginary parts, resonators above the band as
+        `structures._testing.modalfit.moved_slopes` counts them, participations but for the largest of each mode.
+    common : array (common, common)
+        Covariance of the common unknowns.
     share : float
         Of the power of the FRFs that real shapes leave over, beyond what complex ones do.
+    f : array (lines,)
+        Lines of the band in Hz.
+    bias : array (lines, outputs, references)
+        Squared error of the fit on them where it is wrong rather than noisy: residual power beyond the stated noise.
     """
 
     poles: Complex
     participation: Real
     shapes: Real
     rest: Real
-    frequencies: Real
-    low: NDArray[np.bool_]
+    rest_poles: Complex
+    top: float
     covariance: Real
     slope: Real
-    poles_covariance: Real
+    common: Real
     share: float
+    f: Real
+    bias: Real
 
     @property
-    def rest_damping(self) -> Real:
-        """Damping ratio of every resonator of the rest."""
-        return np.where(self.low, BELOW_DAMPING, ABOVE_DAMPING)
+    def low(self) -> NDArray[np.bool_]:
+        """Which resonators lie below the band."""
+        return np.asarray(np.abs(self.rest_poles) < 2 * np.pi * self.top)
+
+    @property
+    def free(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Modes and references whose participation is unknown, reference by reference."""
+        fixed = np.argmax(np.abs(self.participation), axis=1)
+        j, k = np.nonzero(np.arange(self.participation.shape[1])[:, None] != fixed)
+        return k, j
+
+    def columns(self, s: Complex, derivative: int) -> Complex:
+        """What shapes and rest of an output are multiplied by (lines, references, unknowns)."""
+        q = resonators(s, self.poles, derivative)[:, None, :] * self.participation.T
+        rest = each_reference(resonators(s, self.rest_poles, derivative), self.participation.shape[1])
+        return np.concatenate([q, rest], axis=2)
+
+    def slopes(self, s: Complex, derivative: int, output: int) -> Complex:
+        """Derivatives (lines, references, common) of the FRFs of an output for given shapes and rest."""
+        q, high = resonators(s, self.poles, derivative), ~self.low
+        base = q * resonators(s, self.poles, 0)
+        own = np.concatenate([base * (2 * s[:, None] - 2 * self.poles.real), -2 * base * self.poles.imag], axis=1)
+        size = np.tile(self.shapes[:, output, None] * self.participation, (2, 1)).T
+        moved = moved_slopes(s, self.rest_poles[high], self.top, derivative)
+        share = np.tile(self.rest[high, output].T, (1, 2))
+        k, j = self.free
+        driven = np.zeros((len(s), self.participation.shape[1], len(k)), complex)
+        driven[:, j, np.arange(len(k))] = q[:, k] * self.shapes[k, output]
+        return np.concatenate([own[:, None] * size, moved[:, None] * share, driven], axis=2)
 
     def variance(self, f: Real, derivative: int) -> Real:
-        """Variance (lines, outputs, references) of the fitted FRF of a kind at f (Hz), by the errors of the fit."""
+        """Variance (lines, outputs, references) of the fitted FRF of a kind at f (Hz): noise of the fit, and its bias.
+
+        The kind is that of the fit.
+        """
         s = np.asarray(2j * np.pi * f, complex)
-        q, d = lines_of(s, self.poles, derivative), slopes_of(s, self.poles, derivative)
-        ends = [*self.frequencies]
-        g = _rest_lines(s, ends, self.low, derivative)
-        columns = np.concatenate([q, g], axis=1)
         out = np.empty((len(f), self.shapes.shape[1], self.participation.shape[1]))
-        for o, j in np.ndindex(*out.shape[1:]):
-            own = d * np.tile(self.shapes[:, o] * self.participation[:, j], 2) + columns @ self.slope[o, j]
-            out[:, o, j] = np.einsum("li,ij,lj->l", columns, self.covariance[o, j], columns.conj()).real
-            out[:, o, j] += np.einsum("li,ij,lj->l", own, self.poles_covariance, own.conj()).real
-        return np.maximum(out, 0.0)
+        for o in range(out.shape[1]):
+            out[:, o] = np.sum(np.abs(self.root(s, derivative, o)) ** 2, axis=2)
+        if np.any(self.bias):
+            out += _interpolated(f, self.f, self.bias)
+        return out
+
+    def root(self, s: Complex, derivative: int, output: int) -> Complex:
+        """Root (lines, references, any) of the covariance of the FRFs of one output: times unit noise, their errors."""
+        columns = self.columns(s, derivative)
+        follows = self.slopes(s, derivative, output) + columns @ self.slope[output]
+        return np.concatenate([columns @ _root(self.covariance[output]), follows @ _root(self.common)], axis=2)
+
+    def residue_variance(self, output: int, reference: int) -> Real:
+        """Variance (modes,) of the residues ``shapes participation`` of one entry."""
+        n = len(self.poles)
+        b = self.participation[:, reference]
+        k, j = self.free
+        own = np.zeros((n, len(self.common)))
+        place = len(self.common) - len(k) + np.flatnonzero(j == reference)
+        own[k[j == reference], place] = self.shapes[k[j == reference], output]
+        follows = own + b[:, None] * self.slope[output][:n]
+        alone = np.diag(self.covariance[output])[:n] * b**2
+        return np.asarray(alone + np.einsum("kc,cd,kd->k", follows, self.common, follows))
 
 
-def lines_of(s: Complex, p: Complex, derivative: int) -> Complex:
-    """Response (lines, modes) of every mode of unit modal mass."""
-    return np.asarray(s[:, None] ** derivative / (s[:, None] ** 2 - 2 * p.real * s[:, None] + np.abs(p) ** 2))
+def _interpolated(f: Real, lines: Real, values: Real) -> Real:
+    """Values (lines, outputs, references) at other lines, constant beyond the ends."""
+    i = np.clip(np.searchsorted(lines, f), 1, len(lines) - 1)
+    share = np.clip((f - lines[i - 1]) / (lines[i] - lines[i - 1]), 0, 1)[:, None, None]
+    return np.asarray((1 - share) * values[i - 1] + share * values[i])
 
 
-def slopes_of(s: Complex, p: Complex, derivative: int) -> Complex:
-    """Its derivatives (lines, 2 modes) with respect to the real and the imaginary parts of the poles."""
-    q = lines_of(s, p, derivative)
-    base = q**2 / s[:, None] ** derivative if derivative == 0 else q * lines_of(s, p, 0)
-    return np.asarray(np.concatenate([base * (2 * s[:, None] - 2 * p.real), -2 * base * p.imag], axis=1))
+def _root(covariance: Real) -> Real:
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _rest_lines(s: Complex, ends: list[float], low: NDArray[np.bool_], derivative: int) -> Complex:
-    pairs = [(2 * np.pi * f, BELOW_DAMPING if below else ABOVE_DAMPING) for f, below in zip(ends, low, strict=True)]
-    columns = [s**derivative / (s**2 + 2 * z * w * s + w**2) for w, z in pairs]
-    return np.array(columns, complex).reshape(len(ends), len(s)).T
+def normal(band: FrfBand, fit: ModalFit, stated: Real | None = None) -> NormalFit:
+    """Real shapes and participations of the poles of a fit, by weighted least squares, shapes eliminated.
 
+    Parameters
+    ----------
+    band : FrfBand
+    fit : ModalFit
+    stated : array like H, optional
+        Std of the FRFs as the test tells it: what the residual has beyond it is bias.
 
-def normal(band: FrfBand, fit: ModalFit) -> NormalFit:
-    """Real shapes and participations of the poles of a fit, by weighted least squares in turn."""
-    references = fit.participation.shape[1]
-    q, g = lines_of(band.s, fit.poles, band.derivative), outside(band, fit.rest)
+    Notes
+    -----
+    Poles and resonators are those of the fit, with its covariance: its complex shapes make them less exact than real
+    ones would, by an error that is independent of all that is estimated here for given poles (the efficient
+    estimate's), so that the two covariances add up.
+    """
+    _, outputs, references = band.H.shape
     phase = 0.5 * np.angle(np.sum(fit.participation**2, axis=1))
-    b = _turned((fit.participation * np.exp(-1j * phase[:, None])).real)
-    for turn in range(ROUNDS if references > 1 else 1):
-        shapes, rest, residual = _shapes(band, q, g, b)
-        if references > 1 and turn < ROUNDS - 1:
-            b = _turned(_participation(band, q, g, shapes, rest))
-    covariance, slope = _errors(band, q, g, np.einsum("ko,kj->ojk", shapes, b), fit.poles)
-    power = np.sum(np.abs(residual / band.std) ** 2)
+    found = NormalFit(
+        poles=fit.poles, participation=_turned((fit.participation * np.exp(-1j * phase[:, None])).real),
+        shapes=np.zeros((len(fit.poles), outputs)), rest=np.zeros((len(fit.rest), outputs, references)),
+        rest_poles=fit.rest, top=float(band.f[-1]), covariance=np.zeros(0), slope=np.zeros(0), common=fit.covariance,
+        share=0.0, f=band.f, bias=np.zeros(band.H.shape),
+    )  # fmt: skip
+    found, residual = _shapes(band, found)
+    for _ in range(ROUNDS if references > 1 else 0):
+        trial, left = _shapes(band, _stepped(band, found, residual))
+        before, after = (float(np.sum(np.abs(r / band.std) ** 2)) for r in (residual, left))
+        if after < before:
+            found, residual = trial, left
+        if after >= (1 - DONE) * before:
+            break
+    power = float(np.sum(np.abs(residual / band.std) ** 2))
     whole = float(np.sum(np.abs(band.H / band.std) ** 2))
     own = float(np.sum(np.abs(fit.residual / band.std) ** 2))
     inflation = max(1.0, 1.0 + 2.0 * float(np.sum(fit.correlation)))
-    scale = max(float(power) / max(2 * residual.size - shapes.size - rest.size, 1), 0.0) * inflation
-    return NormalFit(
-        poles=fit.poles, participation=b, shapes=shapes, rest=rest,
-        frequencies=np.array(fit.rest, float), low=np.array([w < band.f[0] for w in fit.rest], bool),
-        covariance=covariance * scale, slope=slope, poles_covariance=fit.covariance,
-        share=max(0.0, (float(power) - own) / whole),
-    )  # fmt: skip
+    unknowns = found.shapes.size + found.rest.size + len(found.free[0])
+    scale = max(power / max(2 * residual.size - unknowns, 1), 0.0) * inflation
+    bias = found.bias if stated is None else excess(residual, stated)
+    return replace(_with_errors(band, found, scale), share=max(0.0, (power - own) / whole), bias=bias)
+
+
+def excess(residual: Complex, std: Real) -> Real:
+    """Power of residuals beyond that of noise, smoothed over lines; 0 where chance explains it."""
+    half = max(5, len(residual) // 40)
+    power, noise = smooth_lines(np.abs(residual) ** 2, half), smooth_lines(std**2, half)
+    return np.where(power > (1 + CHANCE / np.sqrt(2 * half + 1)) * noise, power - noise, 0.0)
 
 
 def _turned(b: Real) -> Real:
@@ -119,69 +191,63 @@ def _turned(b: Real) -> Real:
     return b / np.where(top == 0, 1.0, top)[:, None]
 
 
-def _columns(q: Complex, g: list[Complex], b: Real) -> Complex:
-    """Columns (lines, references, unknowns) of one output."""
-    lines, references = len(q), b.shape[1]
-    rest = np.zeros((lines, references, len(g) * references), complex)
-    for i, u in enumerate(g):
-        for j in range(references):
-            rest[:, j, i * references + j] = u
-    return np.concatenate([q[:, None, :] * b.T[None], rest], axis=2)
+def _scaled(band: FrfBand, columns: Complex, o: int) -> Real:
+    """Weighted real rows of one output."""
+    return real_rows(np.asarray(columns / band.std[:, o, :, None], complex))
 
 
-def _shapes(band: FrfBand, q: Complex, g: list[Complex], b: Real) -> tuple[Real, Real, Complex]:
-    """Shapes (modes, outputs), rest (resonators, outputs, references) and residual for given participations."""
-    n, (_, outputs, references) = len(b), band.H.shape
-    columns = _columns(q, g, b)
+def _shapes(band: FrfBand, found: NormalFit) -> tuple[NormalFit, Complex]:
+    """Shapes and rest for given participations, and the residual."""
+    n, (_, outputs, references) = len(found.poles), band.H.shape
+    columns = found.columns(band.s, band.derivative)
     x, residual = np.zeros((outputs, columns.shape[2])), np.empty_like(band.H)
     for o in range(outputs):
-        w = 1 / band.std[:, o, :, None]
-        rows = real_rows(columns * w)
+        rows = _scaled(band, columns, o)
         scale = np.linalg.norm(rows, axis=0)
         scale = np.where(scale > 0, scale, 1.0)
-        data = real_rows(band.H[:, o, :, None] * w)[:, 0]
+        data = _scaled(band, band.H[:, o, :, None], o)[:, 0]
         x[o] = linalg.lstsq(rows / scale, data, cond=1e-12, check_finite=False)[0] / scale
         residual[:, o] = band.H[:, o] - columns @ x[o]
-    rest = x[:, n:].reshape(outputs, len(g), references).transpose(1, 0, 2)
-    return x[:, :n].T, rest, residual
+    rest = x[:, n:].reshape(outputs, len(found.rest_poles), references).transpose(1, 0, 2)
+    return replace(found, shapes=x[:, :n].T, rest=rest), residual
 
 
-def _errors(band: FrfBand, q: Complex, g: list[Complex], residues: Real, poles: Complex) -> tuple[Real, Real]:
-    """Covariance of residue and rest of each entry at unit std, and how they follow the poles.
-
-    Parameters
-    ----------
-    residues : array (outputs, references, modes)
-
-    Returns
-    -------
-    covariance : array (outputs, references, unknowns, unknowns)
-    slope : array (outputs, references, unknowns, 2 modes)
-    """
-    columns, moved = (
-        np.concatenate([q, np.array(g).reshape(len(g), -1).T], axis=1),
-        slopes_of(band.s, poles, band.derivative),
-    )
-    n, size = q.shape[1], columns.shape[1]
-    covariance, slope = np.zeros((*residues.shape[:2], size, size)), np.zeros((*residues.shape[:2], size, 2 * n))
-    for o, j in np.ndindex(*residues.shape[:2]):
-        w = 1 / band.std[:, o, j, None]
-        rows = real_rows(np.asarray(columns * w, complex))
-        root = root_of(linalg.qr(rows, mode="r", check_finite=False)[0][:size])
-        covariance[o, j] = root @ root.T
-        own = real_rows(np.asarray(moved * np.tile(residues[o, j], 2) * w, complex))
-        slope[o, j] = -root @ (root.T @ (rows.T @ own))
-    return covariance, slope
+def _stepped(band: FrfBand, found: NormalFit, residual: Complex) -> NormalFit:
+    """One step of the participations, shapes and rest eliminated."""
+    columns, (k, j) = found.columns(band.s, band.derivative), found.free
+    R = np.zeros((0, len(k) + 1))
+    for o in range(band.H.shape[1]):
+        Q = linalg.qr(_scaled(band, columns, o), mode="economic", check_finite=False)[0]
+        J = _scaled(band, found.slopes(band.s, band.derivative, o)[..., -len(k) :], o)
+        J -= Q @ (Q.T @ J)
+        rows = np.vstack([R, np.hstack([J, _scaled(band, residual[:, o, :, None], o)])])
+        R = linalg.qr(rows, mode="r", check_finite=False)[0][: R.shape[1]]
+    b = np.array(found.participation)
+    root = root_of(R[:-1, :-1])
+    b[k, j] += root @ (root.T @ (R[:-1, :-1].T @ R[:-1, -1]))
+    return replace(found, participation=_turned(b))
 
 
-def _participation(band: FrfBand, q: Complex, g: list[Complex], shapes: Real, rest: Real) -> Real:
-    """Participations (modes, references) for given shapes."""
-    b = np.zeros((len(shapes), band.H.shape[2]))
-    left = band.H - np.einsum("il,ioj->loj", np.array(g).reshape(len(rest), len(band.f)), rest)
-    for j in range(b.shape[1]):
-        w = 1 / band.std[:, :, j, None]
-        rows, data = real_rows(q[:, None, :] * shapes.T[None] * w), real_rows(left[:, :, j, None] * w)[:, 0]
-        scale = np.linalg.norm(rows, axis=0)
-        scale = np.where(scale > 0, scale, 1.0)
-        b[:, j] = linalg.lstsq(rows / scale, data, cond=1e-12, check_finite=False)[0] / scale
-    return b
+def _with_errors(band: FrfBand, found: NormalFit, scale: float) -> NormalFit:
+    """Covariances: those of the poles are known, participations follow them, and shapes and rest follow both."""
+    columns, known, driven = found.columns(band.s, band.derivative), len(found.common), len(found.free[0])
+    size, common = columns.shape[2], known + driven
+    covariance, slope = np.zeros((len(found.shapes.T), size, size)), np.zeros((len(found.shapes.T), size, common))
+    R = np.zeros((0, common))
+    for o in range(len(covariance)):
+        rows = _scaled(band, columns, o)
+        Q, triangle = linalg.qr(rows, mode="economic", check_finite=False)
+        root = root_of(triangle)
+        J = _scaled(band, found.slopes(band.s, band.derivative, o), o)
+        covariance[o], slope[o] = scale * root @ root.T, -root @ (root.T @ (rows.T @ J))
+        J -= Q @ (Q.T @ J)
+        order = np.concatenate([np.arange(known, common), np.arange(known)])  # participations first
+        R = linalg.qr(np.vstack([R, J[:, order]]), mode="r", check_finite=False)[0][:common]
+    follows = np.zeros((common, known))
+    follows[:known] = np.eye(known)
+    whole = np.zeros((common, common))
+    if driven:
+        root = root_of(R[:driven, :driven])
+        follows[known:] = -root @ (root.T @ (R[:driven, :driven].T @ R[:driven, driven:]))
+        whole[known:, known:] = scale * root @ root.T
+    return replace(found, covariance=covariance, slope=slope, common=whole + follows @ found.common @ follows.T)
