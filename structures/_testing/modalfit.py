@@ -23,9 +23,10 @@ DONE = 1e-6  # relative fall of the misfit that ends them
 HALVINGS = 8
 LEAST = 0.3  # of its decay rate that a pole keeps in one step
 LAGS = 4  # lines over which errors of an estimated FRF are correlated, at most
-APART = (-4.0, 3.0)  # log of how far above the end a resonator may lie, over the end
-ABOVE_DAMPING, FACTOR = 0.02, 2.0  # damping ratio of a resonator above the band: where it begins, std of its logarithm
+APART = (-4.0, 3.0)  # log of how far beyond an end of the band a resonator may lie, as a ratio of frequencies less one
+DAMPED, FACTOR = 0.02, 2.0  # damping ratio of a resonator outside the band: where it begins, std of its logarithm
 DAMPINGS = (np.log(1e-3), np.log(0.2))  # logarithms between which it stays
+HELD = 0.3  # damping ratio from which on a resonator stands still: it is no mode, but the sum of many
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +93,8 @@ class ModalFit:
         The largest entry of each is 1.
     shapes : array (modes, outputs), complex
         Residues of receptance per participation, unit of the response times s over that of the load.
-    covariance : array (2 modes + 2 moved, 2 modes + 2 moved)
-        Of the real parts of the poles, then of their imaginary parts, then of the resonators above the band, as
+    covariance : array (2 modes + 2 moving, 2 modes + 2 moving)
+        Of the real parts of the poles, then of their imaginary parts, then of the resonators that move, as
         `moved_slopes` counts them.
     misfit : float
         Mean squared residual over the squared std, with the freedom of the fit allowed for.
@@ -149,32 +150,33 @@ def resonators(s: Complex, p: Complex, derivative: int) -> Complex:
     return np.asarray(s[:, None] ** derivative / (s[:, None] ** 2 - 2 * p.real * s[:, None] + np.abs(p) ** 2))
 
 
-def above(band: FrfBand, rest: Complex) -> NDArray[np.intp]:
-    """Which resonators lie above the band: their poles are unknowns."""
-    return np.flatnonzero(np.abs(rest) > 2 * np.pi * band.f[-1])
-
-
 def pole(frequency: float, damping: float) -> complex:
     """Pole (rad/s) of a frequency in Hz and a damping ratio."""
     w = 2 * np.pi * frequency
     return complex(-damping * w, w * np.sqrt(1 - damping**2))
 
 
-def moved_slopes(s: Complex, rest: Complex, top: float, derivative: int) -> Complex:
-    """Derivatives (lines, 2 resonators) of resonators above the end of a band at `top` Hz.
+def moving(rest: Complex) -> NDArray[np.intp]:
+    """Which resonators outside the band have poles that are unknowns."""
+    return np.flatnonzero(-rest.real < HELD * np.abs(rest))
+
+
+def moved_slopes(s: Complex, rest: Complex, ends: tuple[float, float], derivative: int) -> Complex:
+    """Derivatives (lines, 2 resonators) of resonators outside a band with these ends in Hz.
 
     With respect to the logarithms of their distances from it, then to those of their damping ratios.
     """
-    w, decay = np.abs(rest), -rest.real
+    w, decay, (low, high) = np.abs(rest), -rest.real, 2 * np.pi * np.asarray(ends)
     h, plain = resonators(s, rest, derivative), resonators(s, rest, 0)
-    far = -h * plain * (2 * decay / w * s[:, None] + 2 * w) * (w - 2 * np.pi * top)
+    by = np.where(w < low, w * (w / low - 1), w - high)
+    far = -h * plain * (2 * decay / w * s[:, None] + 2 * w) * by
     return np.asarray(np.concatenate([far, -h * plain * 2 * decay * s[:, None]], axis=1))
 
 
-def _unknown(rest: Complex, top: float) -> tuple[Real, Real]:
-    """Logarithms of distance from the end of the band, over the end, and of damping ratio."""
-    w = np.abs(rest)
-    return np.log(w / (2 * np.pi * top) - 1), np.log(-rest.real / w)
+def _unknown(rest: Complex, ends: tuple[float, float]) -> tuple[Real, Real]:
+    """Logarithms of the distance from the band, as a ratio of frequencies less one, and of the damping ratio."""
+    w, (low, high) = np.abs(rest), 2 * np.pi * np.asarray(ends)
+    return np.log(np.where(w < low, low / w, w / high) - 1), np.log(-rest.real / w)
 
 
 def real_rows(x: Complex) -> Real:
@@ -198,7 +200,7 @@ class Problem:
     def __init__(self, band: FrfBand) -> None:
         self.band, self.w = band, 1 / band.std
         self.lines, self.outputs, self.references = band.H.shape
-        self.top = float(band.f[-1])
+        self.ends = float(band.f[0]), float(band.f[-1])
 
     def basis(self, at: Poles) -> Complex:
         """Columns (lines, references, linear unknowns) of one output before weighting."""
@@ -210,15 +212,15 @@ class Problem:
     def slopes(self, at: Poles, psi: Complex, rest: Real, largest: NDArray[np.intp]) -> Complex:
         """Derivatives (lines, references, unknowns) of one output's FRF.
 
-        Poles, real and imaginary, resonators above the band, participations.
+        Poles, real and imaginary, resonators that move, participations.
         """
         s, d = self.band.s, self.band.derivative
         p, v = at.inside, at.participation
         a = kernel_slope(s, p, d)[:, None, :] * (psi * v.T)[None]
         b = kernel_slope(s, p.conj(), d)[:, None, :] * (psi * v.T).conj()[None]
-        high = above(self.band, at.rest)
-        moved = moved_slopes(s, at.rest[high], self.top, d)
-        share = rest.reshape(-1, self.references)[high].T
+        own = moving(at.rest)
+        moved = moved_slopes(s, at.rest[own], self.ends, d)
+        share = rest.reshape(-1, self.references)[own].T
         parts = [a + b, 1j * (a - b), moved[:, None, :] * np.tile(share, (1, 2))[None]]
         if self.references > 1:
             g, c = kernel(s, p, d) * psi, kernel(s, p.conj(), d) * psi.conj()
@@ -245,9 +247,9 @@ class Problem:
         return Solved(cost, psi, rest, residual)
 
     def _unusual(self, at: Poles) -> Real:
-        """Logarithms of the damping ratios above the band over the usual one, at the weight of the data."""
-        high = above(self.band, at.rest)
-        return np.asarray((_unknown(at.rest[high], self.top)[1] - np.log(ABOVE_DAMPING)) / FACTOR / np.sqrt(2))
+        """Logarithms of the damping ratios outside the band over the usual one, at the weight of the data."""
+        damped = _unknown(at.rest[moving(at.rest)], self.ends)[1]
+        return np.asarray((damped - np.log(DAMPED)) / FACTOR / np.sqrt(2))
 
     def losses(self, at: Poles) -> Real:
         """How much the squared residual would rise without each mode (modes,), its unknowns eliminated."""
@@ -295,22 +297,23 @@ class Problem:
 
         A resonator moves by its distance from the band at most, and its damping by a factor of e.
         """
-        p, v = at.inside, at.participation
-        n, high, largest = len(p), above(self.band, at.rest), np.argmax(np.abs(v), axis=1)
+        p, v, own = at.inside, at.participation, moving(at.rest)
+        n, q, largest = len(p), len(own), np.argmax(np.abs(v), axis=1)
         by = step[:n] + 1j * step[n : 2 * n]
-        q = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
-        q = np.minimum(q.real, LEAST * p.real) + 1j * q.imag
-        rest, place = np.array(at.rest), 2 * n + 2 * len(high)
-        far, damped = _unknown(rest[high], self.top)
-        far = np.clip(far + np.clip(step[2 * n : 2 * n + len(high)], -1, 1), *APART)
-        damped = np.clip(damped + np.clip(step[2 * n + len(high) : place], -1, 1), *DAMPINGS)
-        rest[high] = [pole(self.top * (1 + np.exp(x)), float(np.exp(z))) for x, z in zip(far, damped, strict=True)]
+        there = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
+        there = np.minimum(there.real, LEAST * p.real) + 1j * there.imag
+        rest, place = np.array(at.rest), 2 * n + 2 * q
+        far, damped = _unknown(rest[own], self.ends)
+        far = np.exp(np.clip(far + np.clip(step[2 * n : 2 * n + q], -1, 1), *APART)) + 1
+        damped = np.exp(np.clip(damped + np.clip(step[2 * n + q : place], -1, 1), *DAMPINGS))
+        f = np.where(np.abs(rest[own]) < 2 * np.pi * self.ends[0], self.ends[0] / far, self.ends[1] * far)
+        rest[own] = [pole(x, z) for x, z in zip(f, damped, strict=True)]
         u = np.array(v)
         for j in range(v.shape[1] if v.shape[1] > 1 else 0):
             moves = np.flatnonzero(largest != j)
             u[moves, j] += step[place : place + len(moves)] + 1j * step[place + len(moves) : place + 2 * len(moves)]
             place += 2 * len(moves)
-        return Poles(q, turned(u), rest)
+        return Poles(there, turned(u), rest)
 
 
 def turned(v: Complex) -> Complex:
@@ -348,7 +351,7 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
     freedom = max(2 * white.size - R.shape[1] - problem.linear(at), 1)
     misfit = 2 * float(np.sum(np.abs(white) ** 2)) / freedom
     rho = correlation(white)
-    n = 2 * len(at.inside) + 2 * len(above(band, at.rest))
+    n = 2 * len(at.inside) + 2 * len(moving(at.rest))
     covariance = (_covariance(R, slopes, rho) * misfit / 2)[:n, :n]
     return ModalFit(at.inside, at.participation, found.shapes, covariance, misfit, found.residual, at.rest, rho, stayed)
 

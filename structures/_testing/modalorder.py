@@ -8,22 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import ABOVE_DAMPING, QUICK, Complex, FrfBand, ModalFit, Poles, Problem, fitted, pole, turned
+from .modalfit import QUICK, Complex, FrfBand, ModalFit, Poles, Problem, fitted, pole, turned
 from .spectra import smooth_lines
 
 EXTRA = 4  # modes that the residual of a fit may add
 GUESSED = 0.01  # damping ratio with which they begin
 DAMPED = 0.25  # and beyond which there is no mode
-BELOW, BELOW_DAMPING = 0.1, 0.5  # the mode that stands for those below the band: share of its start, damping ratio
-ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it begin at: times its end
+LOW, LOW_DAMPING = 0.1, 0.5  # what stands for rigid motion and all far below the band: share of its start, damping ratio
+NEAR = 0.8  # where a mode just below the band begins: times its start
+ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
+OUTSIDE = 0.02  # damping ratio of modes outside
 
 
 def candidates(band: FrfBand) -> list[Complex]:
     """Sets of poles (rad/s) of modes that may stand for those outside the band."""
-    top, low = float(band.f[-1]), BELOW * float(band.f[0])
-    above = [[pole(times * top, ABOVE_DAMPING) for times in some] for some in ABOVE]
-    below = [[pole(low, BELOW_DAMPING), *some] for some in above] if low > 0 else []
-    return [np.array(some, complex) for some in (*above, *below)]
+    start, top = float(band.f[0]), float(band.f[-1])
+    above = [[pole(times * top, OUTSIDE) for times in some] for some in ABOVE]
+    low, near = pole(LOW * start, LOW_DAMPING), pole(NEAR * start, OUTSIDE)
+    below = ([], [low], [low, near]) if start > 0 else ([],)
+    return [np.array([*some, *others], complex) for some in below for others in above]
 
 
 def completed(band: FrfBand, poles: Complex, participation: Complex) -> Complex:

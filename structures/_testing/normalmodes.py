@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import FrfBand, ModalFit, each_reference, moved_slopes, real_rows, resonators, root_of
+from .modalfit import FrfBand, ModalFit, each_reference, moved_slopes, moving, real_rows, resonators, root_of
 from .spectra import smooth_lines
 
 Real = NDArray[np.float64]
@@ -32,12 +32,10 @@ class NormalFit:
     rest : array (resonators, outputs, references)
         Of the modes outside the band, as `structures._testing.modalfit.resonators` answer.
     rest_poles : array (resonators,), complex
-    top : float
-        Last line of the band in Hz.
     covariance : array (outputs, unknowns, unknowns)
         Of shapes and rest of each output, for given common unknowns.
     slope : array (outputs, unknowns, common)
-        How these follow the common unknowns: real parts of the poles, imaginary parts, resonators above the band as
+        How these follow the common unknowns: real parts of the poles, imaginary parts, resonators that move as
         `structures._testing.modalfit.moved_slopes` counts them, participations but for the largest of each mode.
     common : array (common, common)
         Covariance of the common unknowns.
@@ -54,7 +52,6 @@ class NormalFit:
     shapes: Real
     rest: Real
     rest_poles: Complex
-    top: float
     covariance: Real
     slope: Real
     common: Real
@@ -65,7 +62,7 @@ class NormalFit:
     @property
     def low(self) -> NDArray[np.bool_]:
         """Which resonators lie below the band."""
-        return np.asarray(np.abs(self.rest_poles) < 2 * np.pi * self.top)
+        return np.asarray(np.abs(self.rest_poles) < 2 * np.pi * self.f[0])
 
     @property
     def free(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -82,16 +79,16 @@ class NormalFit:
 
     def slopes(self, s: Complex, derivative: int, output: int) -> Complex:
         """Derivatives (lines, references, common) of the FRFs of an output for given shapes and rest."""
-        q, high = resonators(s, self.poles, derivative), ~self.low
+        q, own = resonators(s, self.poles, derivative), moving(self.rest_poles)
         base = q * resonators(s, self.poles, 0)
-        own = np.concatenate([base * (2 * s[:, None] - 2 * self.poles.real), -2 * base * self.poles.imag], axis=1)
+        turned = np.concatenate([base * (2 * s[:, None] - 2 * self.poles.real), -2 * base * self.poles.imag], axis=1)
         size = np.tile(self.shapes[:, output, None] * self.participation, (2, 1)).T
-        moved = moved_slopes(s, self.rest_poles[high], self.top, derivative)
-        share = np.tile(self.rest[high, output].T, (1, 2))
+        moved = moved_slopes(s, self.rest_poles[own], (self.f[0], self.f[-1]), derivative)
+        share = np.tile(self.rest[own, output].T, (1, 2))
         k, j = self.free
         driven = np.zeros((len(s), self.participation.shape[1], len(k)), complex)
         driven[:, j, np.arange(len(k))] = q[:, k] * self.shapes[k, output]
-        return np.concatenate([own[:, None] * size, moved[:, None] * share, driven], axis=2)
+        return np.concatenate([turned[:, None] * size, moved[:, None] * share, driven], axis=2)
 
     def variance(self, f: Real, derivative: int) -> Real:
         """Variance (lines, outputs, references) of the fitted FRF of a kind at f (Hz): noise of the fit, and its bias.
@@ -158,7 +155,7 @@ def normal(band: FrfBand, fit: ModalFit, stated: Real | None = None) -> NormalFi
     found = NormalFit(
         poles=fit.poles, participation=_turned((fit.participation * np.exp(-1j * phase[:, None])).real),
         shapes=np.zeros((len(fit.poles), outputs)), rest=np.zeros((len(fit.rest), outputs, references)),
-        rest_poles=fit.rest, top=float(band.f[-1]), covariance=np.zeros(0), slope=np.zeros(0), common=fit.covariance,
+        rest_poles=fit.rest, covariance=np.zeros(0), slope=np.zeros(0), common=fit.covariance,
         share=0.0, f=band.f, bias=np.zeros(band.H.shape),
     )  # fmt: skip
     found, residual = _shapes(band, found)
