@@ -41,12 +41,15 @@ class FrfBand:
     std : array like H
     derivative : int
         0 receptance, 1 mobility, 2 accelerance.
+    length : float
+        Seconds after which the impulse response was cut; the lines are then those of its transform.
     """
 
     f: Real
     H: Complex
     std: Real
     derivative: int
+    length: float = np.inf
 
     @property
     def s(self) -> Complex:
@@ -93,14 +96,16 @@ class ModalFit:
         The largest entry of each is 1.
     shapes : array (modes, outputs), complex
         Residues of receptance per participation, unit of the response times s over that of the load.
-    covariance : array (2 modes + 2 moving, 2 modes + 2 moving)
+    covariance : array (unknowns, unknowns)
         Of the real parts of the poles, then of their imaginary parts, then of the resonators that move, as
-        `moved_slopes` counts them.
+        `moved_slopes` counts them, then of the participations, as `slopes` does.
     misfit : float
         Mean squared residual over the squared std, with the freedom of the fit allowed for.
     residual : array (lines, outputs, references), complex
     rest : array (resonators,), complex
         Poles of the modes that stand for those outside the band, those below it first.
+    rest_shares : array (outputs, resonators x references)
+        What each gives.
     correlation : array (lags,)
         Of the errors of neighbouring lines, from lag 1 on.
     stayed : array of bool (modes,)
@@ -115,6 +120,7 @@ class ModalFit:
     misfit: float
     residual: Complex
     rest: Complex
+    rest_shares: Real
     correlation: Real
     stayed: NDArray[np.bool_]
 
@@ -125,24 +131,44 @@ class ModalFit:
 
     def ranked(self, rank: NDArray[np.intp]) -> ModalFit:
         """The same with its modes in another order."""
-        n = len(self.poles)
-        own = np.concatenate([rank, n + rank, np.arange(2 * n, len(self.covariance))])
+        v, moved = self.participation, 2 * len(moving(self.rest))
+        old = {key: i for i, key in enumerate(_keys(v, moved))}
+        own = [old[name, j, int(rank[k])] if k >= 0 else old[name, j, k] for name, j, k in _keys(v[rank], moved)]
         return replace(
             self, poles=self.poles[rank], participation=self.participation[rank], shapes=self.shapes[rank],
             covariance=self.covariance[np.ix_(own, own)], stayed=self.stayed[rank],
         )  # fmt: skip
 
 
+def _keys(v: Complex, moved: int) -> list[tuple[str, int, int]]:
+    """What each unknown of a fit is: a name, a number, its mode or -1."""
+    n = len(v)
+    keys = [(name, 0, k) for name in ("real", "imaginary") for k in range(n)] + [("rest", i, -1) for i in range(moved)]
+    driven = enumerate(_driven(v))
+    return keys + [
+        (name, j, int(k)) for j, moves in driven for name in ("real driven", "imaginary driven") for k in moves
+    ]
+
+
 # -- responses --------------------------------------------------------------------------------------------------------
-def kernel(s: Complex, p: Complex, derivative: int) -> Complex:
-    """Response of every pole (lines, modes), of the sensor's kind: that of the states ``x' = p x + u``."""
-    base = 1 / (s[:, None] - p)
-    return np.asarray((base, p * base, s[:, None] * p * base)[derivative])
+def kernel(s: Complex, p: Complex, derivative: int, length: float = np.inf) -> Complex:
+    """Response of every pole (lines, modes), of the sensor's kind: that of the states ``x' = p x + u``.
+
+    Where the impulse response was cut after `length` s and the lines are those of its transform, a pole responds with
+    ``1 - exp(p length)`` of its size.
+    """
+    cut = 1 - np.exp(p * length) if np.isfinite(length) else np.ones(len(p))
+    through = p if derivative == 2 else np.zeros(len(p))
+    return np.asarray(through + p**derivative * cut / (s[:, None] - p))
 
 
-def kernel_slope(s: Complex, p: Complex, derivative: int) -> Complex:
+def kernel_slope(s: Complex, p: Complex, derivative: int, length: float = np.inf) -> Complex:
     """Derivative of `kernel` with respect to the pole."""
-    return np.asarray(s[:, None] ** derivative / (s[:, None] - p) ** 2)
+    gone = np.exp(p * length) if np.isfinite(length) else np.zeros(len(p))
+    far, through = 1 / (s[:, None] - p), float(derivative == 2)
+    turn = -length * gone if np.isfinite(length) else 0.0
+    own = derivative * p ** max(derivative - 1, 0) * (1 - gone) + p**derivative * turn
+    return np.asarray(through + own * far + p**derivative * (1 - gone) * far**2)
 
 
 def resonators(s: Complex, p: Complex, derivative: int) -> Complex:
@@ -193,6 +219,54 @@ def each_reference(columns: Complex, references: int) -> Complex:
     return out.reshape(len(columns), references, -1)
 
 
+def basis(s: Complex, derivative: int, at: Poles, length: float = np.inf) -> Complex:
+    """What the linear unknowns of an output are multiplied by, (lines, references, 2 modes + resonators x references).
+
+    Real parts of the shapes, their imaginary parts, resonators of every reference.
+    """
+    g = kernel(s, at.inside, derivative, length)
+    c = kernel(s, at.inside.conj(), derivative, length)
+    a, b = g[:, None, :] * at.participation.T[None], c[:, None, :] * at.participation.conj().T[None]
+    rest = each_reference(resonators(s, at.rest, derivative), at.participation.shape[1])
+    return np.concatenate([a + b, 1j * (a - b), rest], axis=2)
+
+
+def slopes(
+    s: Complex,
+    derivative: int,
+    at: Poles,
+    psi: Complex,
+    rest: Real,
+    ends: tuple[float, float],
+    length: float = np.inf,
+) -> Complex:
+    """Derivatives (lines, references, unknowns) of the FRFs of an output with shapes (modes,) and resonators.
+
+    Poles, real and imaginary, resonators that move, participations but for the largest of each mode.
+    """
+    p, v = at.inside, at.participation
+    a = kernel_slope(s, p, derivative, length)[:, None, :] * (psi * v.T)[None]
+    b = kernel_slope(s, p.conj(), derivative, length)[:, None, :] * (psi * v.T).conj()[None]
+    own = moving(at.rest)
+    moved = moved_slopes(s, at.rest[own], ends, derivative)
+    share = rest.reshape(-1, v.shape[1])[own].T
+    parts = [a + b, 1j * (a - b), moved[:, None, :] * np.tile(share, (1, 2))[None]]
+    if v.shape[1] > 1:
+        g = kernel(s, p, derivative, length) * psi
+        c = kernel(s, p.conj(), derivative, length) * psi.conj()
+        for j, moves in enumerate(_driven(v)):
+            one = np.zeros((len(s), v.shape[1], 2 * len(moves)), complex)
+            one[:, j] = np.concatenate([(g + c)[:, moves], 1j * (g - c)[:, moves]], axis=1)
+            parts.append(one)
+    return np.concatenate(parts, axis=2)
+
+
+def _driven(v: Complex) -> list[NDArray[np.intp]]:
+    """Modes whose participation of each reference is unknown."""
+    largest = np.argmax(np.abs(v), axis=1)
+    return [np.flatnonzero(largest != j) for j in range(v.shape[1])] if v.shape[1] > 1 else []
+
+
 # -- one problem ------------------------------------------------------------------------------------------------------
 class Problem:
     """One band: what a set of poles leaves, and how that changes with them."""
@@ -203,46 +277,21 @@ class Problem:
         self.ends = float(band.f[0]), float(band.f[-1])
 
     def basis(self, at: Poles) -> Complex:
-        """Columns (lines, references, linear unknowns) of one output before weighting."""
-        s, d = self.band.s, self.band.derivative
-        g, c = kernel(s, at.inside, d), kernel(s, at.inside.conj(), d)
-        a, b = g[:, None, :] * at.participation.T[None], c[:, None, :] * at.participation.conj().T[None]
-        return np.concatenate([a + b, 1j * (a - b), each_reference(resonators(s, at.rest, d), self.references)], axis=2)
-
-    def slopes(self, at: Poles, psi: Complex, rest: Real, largest: NDArray[np.intp]) -> Complex:
-        """Derivatives (lines, references, unknowns) of one output's FRF.
-
-        Poles, real and imaginary, resonators that move, participations.
-        """
-        s, d = self.band.s, self.band.derivative
-        p, v = at.inside, at.participation
-        a = kernel_slope(s, p, d)[:, None, :] * (psi * v.T)[None]
-        b = kernel_slope(s, p.conj(), d)[:, None, :] * (psi * v.T).conj()[None]
-        own = moving(at.rest)
-        moved = moved_slopes(s, at.rest[own], self.ends, d)
-        share = rest.reshape(-1, self.references)[own].T
-        parts = [a + b, 1j * (a - b), moved[:, None, :] * np.tile(share, (1, 2))[None]]
-        if self.references > 1:
-            g, c = kernel(s, p, d) * psi, kernel(s, p.conj(), d) * psi.conj()
-            for j in range(self.references):
-                moves = largest != j
-                one = np.zeros((self.lines, self.references, 2 * int(moves.sum())), complex)
-                one[:, j] = np.concatenate([(g + c)[:, moves], 1j * (g - c)[:, moves]], axis=1)
-                parts.append(one)
-        return np.concatenate(parts, axis=2)
+        """Columns of one output before weighting, as `basis` has them."""
+        return basis(self.band.s, self.band.derivative, at, self.band.length)
 
     def solved(self, at: Poles) -> Solved:
         """Shapes and residual for these poles; the cost counts how far the dampings of resonators are from usual."""
-        basis, n = self.basis(at), len(at.inside)
+        columns, n = self.basis(at), len(at.inside)
         psi, residual = np.zeros((n, self.outputs), complex), np.empty_like(self.band.H)
-        rest = np.zeros((self.outputs, basis.shape[2] - 2 * n))
+        rest = np.zeros((self.outputs, columns.shape[2] - 2 * n))
         for o in range(self.outputs):
             w = self.w[:, o]
-            rows = real_rows(basis * w[..., None])
+            rows = real_rows(columns * w[..., None])
             data = real_rows((self.band.H[:, o] * w)[..., None])[:, 0]
             x = linalg.lstsq(rows, data, lapack_driver="gelsy", check_finite=False)[0]
             psi[:, o], rest[o] = x[:n] + 1j * x[n : 2 * n], x[2 * n :]
-            residual[:, o] = self.band.H[:, o] - basis @ x
+            residual[:, o] = self.band.H[:, o] - columns @ x
         cost = float(np.sum(np.abs(residual * self.w) ** 2) + np.sum(self._unusual(at) ** 2))
         return Solved(cost, psi, rest, residual)
 
@@ -253,11 +302,11 @@ class Problem:
 
     def losses(self, at: Poles) -> Real:
         """How much the squared residual would rise without each mode (modes,), its unknowns eliminated."""
-        basis, n = self.basis(at), len(at.inside)
+        columns, n = self.basis(at), len(at.inside)
         out = np.zeros(n)
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
-            rows = np.hstack([real_rows(basis * w), real_rows(self.band.H[:, o, :, None] * w)])
+            rows = np.hstack([real_rows(columns * w), real_rows(self.band.H[:, o, :, None] * w)])
             R = linalg.qr(rows, mode="r", check_finite=False)[0][: rows.shape[1]]
             for k in range(n):
                 own = [k, n + k]
@@ -268,12 +317,14 @@ class Problem:
 
     def linearised(self, at: Poles, found: Solved) -> tuple[Real, Real, list[Complex]]:
         """Triangle (unknowns, unknowns) and right side of the projected problem; the projected slopes by output."""
-        basis, largest = self.basis(at), np.argmax(np.abs(at.participation), axis=1)
+        columns = self.basis(at)
         R, kept = np.zeros((0, 0)), []
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
-            Q = linalg.qr(real_rows(basis * w), mode="economic", check_finite=False)[0]
-            J = real_rows(self.slopes(at, found.shapes[:, o], found.rest[o], largest) * w)
+            Q = linalg.qr(real_rows(columns * w), mode="economic", check_finite=False)[0]
+            J = slopes(self.band.s, self.band.derivative, at, found.shapes[:, o], found.rest[o], self.ends,
+                       self.band.length)  # fmt: skip
+            J = real_rows(J * w)
             J -= Q @ (Q.T @ J)
             stacked = np.hstack([J, real_rows(found.residual[:, o, :, None] * w)])
             R = linalg.qr(np.vstack([R, stacked]) if R.size else stacked, mode="r", check_finite=False)[0]
@@ -298,7 +349,7 @@ class Problem:
         A resonator moves by its distance from the band at most, and its damping by a factor of e.
         """
         p, v, own = at.inside, at.participation, moving(at.rest)
-        n, q, largest = len(p), len(own), np.argmax(np.abs(v), axis=1)
+        n, q = len(p), len(own)
         by = step[:n] + 1j * step[n : 2 * n]
         there = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
         there = np.minimum(there.real, LEAST * p.real) + 1j * there.imag
@@ -309,8 +360,7 @@ class Problem:
         f = np.where(np.abs(rest[own]) < 2 * np.pi * self.ends[0], self.ends[0] / far, self.ends[1] * far)
         rest[own] = [pole(x, z) for x, z in zip(f, damped, strict=True)]
         u = np.array(v)
-        for j in range(v.shape[1] if v.shape[1] > 1 else 0):
-            moves = np.flatnonzero(largest != j)
+        for j, moves in enumerate(_driven(v)):
             u[moves, j] += step[place : place + len(moves)] + 1j * step[place + len(moves) : place + 2 * len(moves)]
             place += 2 * len(moves)
         return Poles(there, turned(u), rest)
@@ -333,7 +383,7 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
     at = at._replace(participation=turned(at.participation))
     found = problem.solved(at)
     for _ in range(steps):
-        R, right, _slopes = problem.linearised(at, found)
+        R, right, _ = problem.linearised(at, found)
         step = _step(R, right)
         for k in range(HALVINGS):
             there = problem.moved(at, step * 0.5**k)
@@ -346,14 +396,15 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
         at, found = there, trial
         if fall < DONE:
             break
-    R, _, slopes = problem.linearised(at, found)
+    R, _, turns = problem.linearised(at, found)
     white = found.residual / band.std
     freedom = max(2 * white.size - R.shape[1] - problem.linear(at), 1)
     misfit = 2 * float(np.sum(np.abs(white) ** 2)) / freedom
     rho = correlation(white)
-    n = 2 * len(at.inside) + 2 * len(moving(at.rest))
-    covariance = (_covariance(R, slopes, rho) * misfit / 2)[:n, :n]
-    return ModalFit(at.inside, at.participation, found.shapes, covariance, misfit, found.residual, at.rest, rho, stayed)
+    covariance = _covariance(R, turns, rho) * misfit / 2
+    return ModalFit(
+        at.inside, at.participation, found.shapes, covariance, misfit, found.residual, at.rest, found.rest, rho, stayed
+    )
 
 
 def _step(R: Real, right: Real) -> Real:

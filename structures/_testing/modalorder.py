@@ -11,10 +11,13 @@ from scipy import linalg
 from .modalfit import QUICK, Complex, FrfBand, ModalFit, Poles, Problem, fitted, pole, turned
 from .spectra import smooth_lines
 
-EXTRA = 4  # modes that the residual of a fit may add
+EXTRA = 12  # modes that the residual of a fit may add
 GUESSED = 0.01  # damping ratio with which they begin
 DAMPED = 0.25  # and beyond which there is no mode
-LOW, LOW_DAMPING = 0.1, 0.5  # what stands for rigid motion and all far below the band: share of its start, damping ratio
+LOW, LOW_DAMPING = (
+    0.1,
+    0.5,
+)  # what stands for rigid motion and all far below the band: share of its start, damping ratio
 NEAR = 0.8  # where a mode just below the band begins: times its start
 ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
 OUTSIDE = 0.02  # damping ratio of modes outside
@@ -103,9 +106,8 @@ def selected(
     return fit, before - int(np.sum(fit.stayed))
 
 
-def reweighted(band: FrfBand, residual: Complex, *, known: bool) -> FrfBand:
-    """The band with the std that its residuals show, smoothed over neighbouring lines; a known one is the least."""
+def reweighted(band: FrfBand, residual: Complex) -> FrfBand:
+    """The band with the std that its residuals show, smoothed over neighbouring lines."""
     half = max(5, len(band.f) // 40)
     power = smooth_lines(np.abs(residual) ** 2, half)
-    floor = band.std**2 if known else 1e-12 * np.mean(np.abs(band.H) ** 2, axis=0)
-    return replace(band, std=np.sqrt(np.maximum(power, floor)))
+    return replace(band, std=np.sqrt(np.maximum(power, 1e-12 * np.mean(np.abs(band.H) ** 2, axis=0))))

@@ -1,14 +1,29 @@
-"""Real shapes for poles that are known: the modes of a structure with proportional damping, with their errors."""
+"""Shapes for poles that are known, with the errors of their FRFs: real ones of proportional damping, or complex ones."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import FrfBand, ModalFit, each_reference, moved_slopes, moving, real_rows, resonators, root_of
+from .modalfit import (
+    FrfBand,
+    ModalFit,
+    Poles,
+    basis,
+    each_reference,
+    kernel,
+    kernel_slope,
+    moved_slopes,
+    moving,
+    real_rows,
+    resonators,
+    root_of,
+    slopes,
+)
 from .spectra import smooth_lines
 
 Real = NDArray[np.float64]
@@ -20,8 +35,8 @@ CHANCE = 3.0  # std of a smoothed power, beyond which it is no chance
 
 
 @dataclass(frozen=True, eq=False)
-class NormalFit:
-    """Real modes of FRFs: ``sum_k shapes_k participation_k^T s^d / (s^2 - 2 Re(p_k) s + |p_k|^2)`` and the rest.
+class ShapeFit:
+    """Modes, resonators outside the band, and the errors of the FRFs that they make.
 
     Parameters
     ----------
@@ -39,25 +54,28 @@ class NormalFit:
         `structures._testing.modalfit.moved_slopes` counts them, participations but for the largest of each mode.
     common : array (common, common)
         Covariance of the common unknowns.
-    share : float
-        Of the power of the FRFs that real shapes leave over, beyond what complex ones do.
+    power : float
+        Squared residual over the variance.
     f : array (lines,)
         Lines of the band in Hz.
     bias : array (lines, outputs, references)
         Squared error of the fit on them where it is wrong rather than noisy: residual power beyond the stated noise.
+    missed : array (outputs, references)
+        Share of the rms of each FRF that the fit misses beyond the noise.
     """
 
     poles: Complex
-    participation: Real
-    shapes: Real
+    participation: NDArray[Any]
+    shapes: NDArray[Any]
     rest: Real
     rest_poles: Complex
     covariance: Real
     slope: Real
     common: Real
-    share: float
+    power: float
     f: Real
     bias: Real
+    missed: Real
 
     @property
     def low(self) -> NDArray[np.bool_]:
@@ -65,30 +83,17 @@ class NormalFit:
         return np.asarray(np.abs(self.rest_poles) < 2 * np.pi * self.f[0])
 
     @property
-    def free(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Modes and references whose participation is unknown, reference by reference."""
-        fixed = np.argmax(np.abs(self.participation), axis=1)
-        j, k = np.nonzero(np.arange(self.participation.shape[1])[:, None] != fixed)
-        return k, j
+    def ends(self) -> tuple[float, float]:
+        """First and last line in Hz."""
+        return float(self.f[0]), float(self.f[-1])
 
-    def columns(self, s: Complex, derivative: int) -> Complex:
+    def columns(self, s: Complex, derivative: int, length: float = np.inf) -> Complex:
         """What shapes and rest of an output are multiplied by (lines, references, unknowns)."""
-        q = resonators(s, self.poles, derivative)[:, None, :] * self.participation.T
-        rest = each_reference(resonators(s, self.rest_poles, derivative), self.participation.shape[1])
-        return np.concatenate([q, rest], axis=2)
+        raise NotImplementedError
 
-    def slopes(self, s: Complex, derivative: int, output: int) -> Complex:
+    def slopes(self, s: Complex, derivative: int, output: int, length: float = np.inf) -> Complex:
         """Derivatives (lines, references, common) of the FRFs of an output for given shapes and rest."""
-        q, own = resonators(s, self.poles, derivative), moving(self.rest_poles)
-        base = q * resonators(s, self.poles, 0)
-        turned = np.concatenate([base * (2 * s[:, None] - 2 * self.poles.real), -2 * base * self.poles.imag], axis=1)
-        size = np.tile(self.shapes[:, output, None] * self.participation, (2, 1)).T
-        moved = moved_slopes(s, self.rest_poles[own], (self.f[0], self.f[-1]), derivative)
-        share = np.tile(self.rest[own, output].T, (1, 2))
-        k, j = self.free
-        driven = np.zeros((len(s), self.participation.shape[1], len(k)), complex)
-        driven[:, j, np.arange(len(k))] = q[:, k] * self.shapes[k, output]
-        return np.concatenate([turned[:, None] * size, moved[:, None] * share, driven], axis=2)
+        raise NotImplementedError
 
     def variance(self, f: Real, derivative: int) -> Real:
         """Variance (lines, outputs, references) of the fitted FRF of a kind at f (Hz): noise of the fit, and its bias.
@@ -109,6 +114,38 @@ class NormalFit:
         follows = self.slopes(s, derivative, output) + columns @ self.slope[output]
         return np.concatenate([columns @ _root(self.covariance[output]), follows @ _root(self.common)], axis=2)
 
+
+@dataclass(frozen=True, eq=False)
+class NormalFit(ShapeFit):
+    """Real shapes: ``sum_k shapes_k participation_k^T s^d / (s^2 - 2 Re(p_k) s + |p_k|^2)`` and the rest."""
+
+    @property
+    def free(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Modes and references whose participation is unknown, reference by reference."""
+        fixed = np.argmax(np.abs(self.participation), axis=1)
+        j, k = np.nonzero(np.arange(self.participation.shape[1])[:, None] != fixed)
+        return k, j
+
+    def columns(self, s: Complex, derivative: int, length: float = np.inf) -> Complex:
+        """What shapes and rest of an output are multiplied by (lines, references, unknowns)."""
+        q = _real_modes(s, self.poles, derivative, length)[:, None, :] * self.participation.T
+        rest = each_reference(resonators(s, self.rest_poles, derivative), self.participation.shape[1])
+        return np.concatenate([q, rest], axis=2)
+
+    def slopes(self, s: Complex, derivative: int, output: int, length: float = np.inf) -> Complex:
+        """Derivatives (lines, references, common) of the FRFs of an output for given shapes and rest."""
+        q, own = _real_modes(s, self.poles, derivative, length), moving(self.rest_poles)
+        p, turn = self.poles, 2j * self.poles.imag
+        above, below = kernel_slope(s, p, derivative, length), kernel_slope(s, p.conj(), derivative, length)
+        turned = np.concatenate([(above - below) / turn, 1j * (above + below) / turn - q / p.imag], axis=1)
+        size = np.tile(self.shapes[:, output, None] * self.participation, (2, 1)).T
+        moved = moved_slopes(s, self.rest_poles[own], self.ends, derivative)
+        share = np.tile(self.rest[own, output].T, (1, 2))
+        k, j = self.free
+        driven = np.zeros((len(s), self.participation.shape[1], len(k)), complex)
+        driven[:, j, np.arange(len(k))] = q[:, k] * self.shapes[k, output]
+        return np.concatenate([turned[:, None] * size, moved[:, None] * share, driven], axis=2)
+
     def residue_variance(self, output: int, reference: int) -> Real:
         """Variance (modes,) of the residues ``shapes participation`` of one entry."""
         n = len(self.poles)
@@ -120,6 +157,33 @@ class NormalFit:
         follows = own + b[:, None] * self.slope[output][:n]
         alone = np.diag(self.covariance[output])[:n] * b**2
         return np.asarray(alone + np.einsum("kc,cd,kd->k", follows, self.common, follows))
+
+
+@dataclass(frozen=True, eq=False)
+class ComplexFit(ShapeFit):
+    """Complex shapes: ``sum_k shapes_k participation_k^T g(s, p_k)``, its conjugate, and the rest."""
+
+    @property
+    def at(self) -> Poles:
+        """Poles and participations."""
+        return Poles(self.poles, self.participation, self.rest_poles)
+
+    def columns(self, s: Complex, derivative: int, length: float = np.inf) -> Complex:
+        """What shapes and rest of an output are multiplied by (lines, references, unknowns)."""
+        return basis(s, derivative, self.at, length)
+
+    def slopes(self, s: Complex, derivative: int, output: int, length: float = np.inf) -> Complex:
+        """Derivatives (lines, references, common) of the FRFs of an output for given shapes and rest."""
+        return slopes(s, derivative, self.at, self.shapes[:, output], self.rest[:, output], self.ends, length)
+
+
+def _real_modes(s: Complex, p: Complex, derivative: int, length: float) -> Complex:
+    """Response (lines, modes) of real modes of unit modal mass."""
+    both = kernel(s, p, derivative, length) - kernel(s, p.conj(), derivative, length)
+    return np.asarray(both / (2j * p.imag))
+
+
+Fit = TypeVar("Fit", bound=ShapeFit)
 
 
 def _interpolated(f: Real, lines: Real, values: Real) -> Real:
@@ -151,12 +215,11 @@ def normal(band: FrfBand, fit: ModalFit, stated: Real | None = None) -> NormalFi
     estimate's), so that the two covariances add up.
     """
     _, outputs, references = band.H.shape
-    phase = 0.5 * np.angle(np.sum(fit.participation**2, axis=1))
+    phase, known = 0.5 * np.angle(np.sum(fit.participation**2, axis=1)), 2 * (len(fit.poles) + len(moving(fit.rest)))
     found = NormalFit(
-        poles=fit.poles, participation=_turned((fit.participation * np.exp(-1j * phase[:, None])).real),
+        participation=_turned((fit.participation * np.exp(-1j * phase[:, None])).real),
         shapes=np.zeros((len(fit.poles), outputs)), rest=np.zeros((len(fit.rest), outputs, references)),
-        rest_poles=fit.rest, covariance=np.zeros(0), slope=np.zeros(0), common=fit.covariance,
-        share=0.0, f=band.f, bias=np.zeros(band.H.shape),
+        **_same(band, fit, fit.covariance[:known, :known]),
     )  # fmt: skip
     found, residual = _shapes(band, found)
     for _ in range(ROUNDS if references > 1 else 0):
@@ -166,14 +229,47 @@ def normal(band: FrfBand, fit: ModalFit, stated: Real | None = None) -> NormalFi
             found, residual = trial, left
         if after >= (1 - DONE) * before:
             break
-    power = float(np.sum(np.abs(residual / band.std) ** 2))
-    whole = float(np.sum(np.abs(band.H / band.std) ** 2))
-    own = float(np.sum(np.abs(fit.residual / band.std) ** 2))
-    inflation = max(1.0, 1.0 + 2.0 * float(np.sum(fit.correlation)))
     unknowns = found.shapes.size + found.rest.size + len(found.free[0])
-    scale = max(power / max(2 * residual.size - unknowns, 1), 0.0) * inflation
-    bias = found.bias if stated is None else excess(residual, stated)
-    return replace(_with_errors(band, found, scale), share=max(0.0, (power - own) / whole), bias=bias)
+    return _judged(band, _with_errors(band, found, _scale(band, fit, residual, unknowns)), residual, stated)
+
+
+def complex_shapes(band: FrfBand, fit: ModalFit, stated: Real | None = None) -> ComplexFit:
+    """Complex shapes of a fit, with the errors of their FRFs; parameters as for `normal`."""
+    _, outputs, references = band.H.shape
+    rest = fit.rest_shares.reshape(outputs, len(fit.rest), references).transpose(1, 0, 2)
+    found = ComplexFit(
+        participation=fit.participation, shapes=fit.shapes, rest=rest, **_same(band, fit, fit.covariance)
+    )
+    unknowns = 2 * found.shapes.size + found.rest.size + len(fit.covariance)
+    return _judged(band, _with_errors(band, found, _scale(band, fit, fit.residual, unknowns)), fit.residual, stated)
+
+
+def _same(band: FrfBand, fit: ModalFit, common: Real) -> dict[str, Any]:
+    """Fields that real and complex shapes share."""
+    none = np.zeros(0)
+    return {
+        "poles": fit.poles, "rest_poles": fit.rest, "common": common, "f": band.f, "power": 0.0,
+        "covariance": none, "slope": none, "bias": np.zeros(band.H.shape), "missed": np.zeros(band.H.shape[1:]),
+    }  # fmt: skip
+
+
+def _scale(band: FrfBand, fit: ModalFit, residual: Complex, unknowns: int) -> float:
+    """Variance of each real error over the squared std, for the correlation of neighbouring lines."""
+    inflation = max(1.0, 1.0 + 2.0 * float(np.sum(fit.correlation)))
+    power = float(np.sum(np.abs(residual / band.std) ** 2))
+    return power / max(2 * residual.size - unknowns, 1) * inflation
+
+
+def _judged(band: FrfBand, found: Fit, residual: Complex, stated: Real | None) -> Fit:
+    """The same with what it misses."""
+    noise = np.zeros(band.H.shape) if stated is None else stated**2
+    whole = np.mean(np.abs(band.H) ** 2, axis=0)
+    beyond = np.maximum(np.mean(np.abs(residual) ** 2 - noise, axis=0), 0.0)
+    return replace(
+        found, power=float(np.sum(np.abs(residual / band.std) ** 2)),
+        bias=found.bias if stated is None else excess(residual, stated),
+        missed=np.sqrt(beyond / np.where(whole > 0, whole, 1.0)),
+    )  # fmt: skip
 
 
 def excess(residual: Complex, std: Real) -> Real:
@@ -196,7 +292,7 @@ def _scaled(band: FrfBand, columns: Complex, o: int) -> Real:
 def _shapes(band: FrfBand, found: NormalFit) -> tuple[NormalFit, Complex]:
     """Shapes and rest for given participations, and the residual."""
     n, (_, outputs, references) = len(found.poles), band.H.shape
-    columns = found.columns(band.s, band.derivative)
+    columns = found.columns(band.s, band.derivative, band.length)
     x, residual = np.zeros((outputs, columns.shape[2])), np.empty_like(band.H)
     for o in range(outputs):
         rows = _scaled(band, columns, o)
@@ -211,11 +307,11 @@ def _shapes(band: FrfBand, found: NormalFit) -> tuple[NormalFit, Complex]:
 
 def _stepped(band: FrfBand, found: NormalFit, residual: Complex) -> NormalFit:
     """One step of the participations, shapes and rest eliminated."""
-    columns, (k, j) = found.columns(band.s, band.derivative), found.free
+    columns, (k, j) = found.columns(band.s, band.derivative, band.length), found.free
     R = np.zeros((0, len(k) + 1))
     for o in range(band.H.shape[1]):
         Q = linalg.qr(_scaled(band, columns, o), mode="economic", check_finite=False)[0]
-        J = _scaled(band, found.slopes(band.s, band.derivative, o)[..., -len(k) :], o)
+        J = _scaled(band, found.slopes(band.s, band.derivative, o, band.length)[..., -len(k) :], o)
         J -= Q @ (Q.T @ J)
         rows = np.vstack([R, np.hstack([J, _scaled(band, residual[:, o, :, None], o)])])
         R = linalg.qr(rows, mode="r", check_finite=False)[0][: R.shape[1]]
@@ -225,17 +321,18 @@ def _stepped(band: FrfBand, found: NormalFit, residual: Complex) -> NormalFit:
     return replace(found, participation=_turned(b))
 
 
-def _with_errors(band: FrfBand, found: NormalFit, scale: float) -> NormalFit:
+def _with_errors(band: FrfBand, found: Fit, scale: float) -> Fit:
     """Covariances: those of the poles are known, participations follow them, and shapes and rest follow both."""
-    columns, known, driven = found.columns(band.s, band.derivative), len(found.common), len(found.free[0])
-    size, common = columns.shape[2], known + driven
+    columns, known = found.columns(band.s, band.derivative, band.length), len(found.common)
+    size, common = columns.shape[2], found.slopes(band.s[:1], band.derivative, 0).shape[2]
+    driven = common - known
     covariance, slope = np.zeros((len(found.shapes.T), size, size)), np.zeros((len(found.shapes.T), size, common))
     R = np.zeros((0, common))
     for o in range(len(covariance)):
         rows = _scaled(band, columns, o)
         Q, triangle = linalg.qr(rows, mode="economic", check_finite=False)
         root = root_of(triangle)
-        J = _scaled(band, found.slopes(band.s, band.derivative, o), o)
+        J = _scaled(band, found.slopes(band.s, band.derivative, o, band.length), o)
         covariance[o], slope[o] = scale * root @ root.T, -root @ (root.T @ (rows.T @ J))
         J -= Q @ (Q.T @ J)
         order = np.concatenate([np.arange(known, common), np.arange(known)])  # participations first
