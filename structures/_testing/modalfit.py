@@ -355,9 +355,11 @@ class Problem:
         there = np.minimum(there.real, LEAST * p.real) + 1j * there.imag
         rest, place = np.array(at.rest), 2 * n + 2 * q
         far, damped = _unknown(rest[own], self.ends)
-        far = np.exp(np.clip(far + np.clip(step[2 * n : 2 * n + q], -1, 1), *APART)) + 1
+        low = np.abs(rest[own]) < 2 * np.pi * self.ends[0]
+        most = np.where(low, 0.0, APART[1])  # a mode below half of the first line is one of many
+        far = np.exp(np.clip(far + np.clip(step[2 * n : 2 * n + q], -1, 1), APART[0], most)) + 1
         damped = np.exp(np.clip(damped + np.clip(step[2 * n + q : place], -1, 1), *DAMPINGS))
-        f = np.where(np.abs(rest[own]) < 2 * np.pi * self.ends[0], self.ends[0] / far, self.ends[1] * far)
+        f = np.where(low, self.ends[0] / far, self.ends[1] * far)
         rest[own] = [pole(x, z) for x, z in zip(f, damped, strict=True)]
         u = np.array(v)
         for j, moves in enumerate(_driven(v)):

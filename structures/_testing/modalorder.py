@@ -11,25 +11,25 @@ from scipy import linalg
 from .modalfit import QUICK, Complex, FrfBand, ModalFit, Poles, Problem, fitted, pole, turned
 from .spectra import smooth_lines
 
-EXTRA = 12  # modes that the residual of a fit may add
+EXTRA = 12  # places where the residual of a fit may ask for a mode
+BESIDE = 5  # lines on each side of one that gave none
 GUESSED = 0.01  # damping ratio with which they begin
 DAMPED = 0.25  # and beyond which there is no mode
 LOW, LOW_DAMPING = (
     0.1,
     0.5,
 )  # what stands for rigid motion and all far below the band: share of its start, damping ratio
-NEAR = 0.8  # where a mode just below the band begins: times its start
+NEAR, STAYS = 0.8, 0.51  # where a mode just below the band begins, and from where on it is one: times its start
 ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
 OUTSIDE = 0.02  # damping ratio of modes outside
 
 
 def candidates(band: FrfBand) -> list[Complex]:
-    """Sets of poles (rad/s) of modes that may stand for those outside the band."""
-    start, top = float(band.f[0]), float(band.f[-1])
+    """Sets of poles (rad/s) of modes that may stand for those outside the band; none just below it."""
+    top, low = float(band.f[-1]), LOW * float(band.f[0])
     above = [[pole(times * top, OUTSIDE) for times in some] for some in ABOVE]
-    low, near = pole(LOW * start, LOW_DAMPING), pole(NEAR * start, OUTSIDE)
-    below = ([], [low], [low, near]) if start > 0 else ([],)
-    return [np.array([*some, *others], complex) for some in below for others in above]
+    below = [[pole(low, LOW_DAMPING), *some] for some in above] if low > 0 else []
+    return [np.array(some, complex) for some in (*above, *below)]
 
 
 def completed(band: FrfBand, poles: Complex, participation: Complex) -> Complex:
@@ -44,29 +44,43 @@ def completed(band: FrfBand, poles: Complex, participation: Complex) -> Complex:
     return min(candidates(band), key=worth)
 
 
+def neighboured(band: FrfBand, fit: ModalFit) -> ModalFit:
+    """A fit with a mode just below the band, where that is worth its unknowns and stays there.
+
+    One that moves far below is the sum of many: it would ring in a model where nothing was measured.
+    """
+    start = float(band.f[0])
+    if start <= 0:
+        return fit
+    near = np.append(fit.rest, pole(NEAR * start, OUTSIDE))
+    trial = fitted(band, fit.at._replace(rest=near), fit.stayed, QUICK)
+    size, more = 2 * band.H.size, 2 + band.H.shape[1] * band.H.shape[2]
+    gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
+    stays = abs(trial.rest[-1]) > 2 * np.pi * STAYS * start
+    return trial if stays and gain > more * np.log(size) else fit
+
+
 def extended(band: FrfBand, fit: ModalFit) -> ModalFit:
     """A fit with the modes that its residual shows, one after the other while each is worth its unknowns.
 
     Each begins where the smoothed residual is largest over its std; one that moves onto a mode that is there, within
-    the sum of their decay rates, is none.
+    the sum of their decay rates, is none, and the next is looked for elsewhere.
     """
-    size = 2 * band.H.size
+    size, tried = 2 * band.H.size, np.zeros(len(band.f), bool)
     for _ in range(EXTRA):
         power = smooth_lines(np.sum(np.abs(fit.residual / band.std) ** 2, axis=(1, 2)), 2)
-        line = int(np.argmax(power))
+        line = int(np.argmax(np.where(tried, 0.0, power)))
         at = 2 * np.pi * band.f[line]
         v = linalg.svd(fit.residual[line] / band.std[line])[2][:1]
         p, u = np.append(fit.poles, complex(-GUESSED * at, at)), np.concatenate([fit.participation, v])
         trial = fitted(band, Poles(p, u, fit.rest), np.append(fit.stayed, False), QUICK)
         gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
-        apart = np.abs(trial.poles[-1] - trial.poles[:-1]) > np.abs(trial.poles[-1].real + trial.poles[:-1].real)
-        if (
-            gain < _unknowns(band) * np.log(size)
-            or not apart.all()
-            or -trial.poles[-1].real > DAMPED * abs(trial.poles[-1])
-        ):
-            break
-        fit = trial
+        own = trial.poles[-1]
+        apart = np.all(np.abs(own - trial.poles[:-1]) > np.abs(own.real + trial.poles[:-1].real))
+        if gain >= _unknowns(band) * np.log(size) and apart and -own.real <= DAMPED * abs(own):
+            fit = trial
+        else:
+            tried[max(line - BESIDE, 0) : line + BESIDE + 1] = True
     return fit
 
 
@@ -89,7 +103,7 @@ def selected(
     """
     known = np.ones(len(poles), bool) if stayed is None else stayed
     start = Poles(poles, participation, completed(band, poles, participation))
-    fit = extended(band, fitted(band, start, known, QUICK))
+    fit = extended(band, neighboured(band, fitted(band, start, known, QUICK)))
     before = int(np.sum(fit.stayed))
     while len(fit.poles):
         losses = Problem(band).losses(fit.at) / fit.misfit
