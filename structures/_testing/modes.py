@@ -215,7 +215,7 @@ def identify_modes(
     -----
     With more loads than sensors (a roving hammer) loads and sensors change their roles.
     """
-    table, length = of_own_length(table_of(source, forces, responses, dt, kind, segment))
+    table, length = of_own_length(table_of(source, forces, responses, dt, kind, segment), band)
     taken = picked(table, band)
     fitted_band, turned, known = prepared(taken, length)
     stated = fitted_band.std if known else None
