@@ -322,9 +322,9 @@ class Problem:
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
             Q = linalg.qr(real_rows(columns * w), mode="economic", check_finite=False)[0]
-            J = slopes(self.band.s, self.band.derivative, at, found.shapes[:, o], found.rest[o], self.ends,
-                       self.band.length)  # fmt: skip
-            J = real_rows(J * w)
+            turn = slopes(self.band.s, self.band.derivative, at, found.shapes[:, o], found.rest[o], self.ends,
+                          self.band.length)  # fmt: skip
+            J = real_rows(turn * w)
             J -= Q @ (Q.T @ J)
             stacked = np.hstack([J, real_rows(found.residual[:, o, :, None] * w)])
             R = linalg.qr(np.vstack([R, stacked]) if R.size else stacked, mode="r", check_finite=False)[0]

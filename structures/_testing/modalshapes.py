@@ -1,4 +1,4 @@
-"""Shapes for poles that are known, with the errors of their FRFs: real ones of proportional damping, or complex ones."""
+"""Shapes for poles that are known, real or complex, and the errors of the FRFs that they make."""
 
 from __future__ import annotations
 
