@@ -3,7 +3,8 @@
 Run ``python -m tests.benchmarks.modes``: a line for each case, the mean over noises.
 
 Truth comes from elsewhere: closed forms of modes written out (close, damped, local), and a cantilever of 40 elements
-with dashpots whose complex modes are those of its full K, M, C. Both tools get the same noisy accelerance. sdypy-EMA wants
+with dashpots whose complex modes are those of its full K, M, C. Both tools get the same noisy accelerance. sdypy-EMA
+wants
 its poles picked from a stabilisation chart; here it picks the pole nearest to each true frequency, at its highest order
 or as its own search among stable ones does: that is the help that a user with good eyes gives, and more than ours gets.
 """
