@@ -66,16 +66,16 @@ def _hammered(records: Sequence[Any], force: str | int, dt: float | None) -> boo
     return True
 
 
-def of_own_length(table: Model, band: tuple[float, float] | None) -> tuple[Model, float]:
+def of_own_length(table: Any, band: tuple[float, float] | None) -> tuple[Any, float]:
     """FRFs of hits on the lines of a transform as long as their records after the hit, and that length in s.
 
     Their padded spectra are those of an impulse response that was cut where the records end. On lines that fit a whole
     number of periods into it a cut moves no pole: it scales each residue, by one less what is left of the mode. Lines
     outside the band where the hits had no energy are left out first: their errors would leak into it.
     """
-    hits = [hit for hit in table.hits if hit.used] if isinstance(table, MeasuredModel) else []
+    hits = [hit for hit in table.hits if hit.used]
     known = [hit.after for hit in hits if hit.after is not None]
-    if not isinstance(table, MeasuredModel) or not hits or len(known) < len(hits) or min(known) <= 4 * RINGING:
+    if not table.sampled or not hits or len(known) < len(hits) or min(known) <= 4 * RINGING:
         return table, np.inf
     h = np.fft.irfft(table.H * _believed(table, band), axis=0)
     samples = min(min(known), len(h)) - RINGING
@@ -91,7 +91,7 @@ def of_own_length(table: Model, band: tuple[float, float] | None) -> tuple[Model
     return made, samples * table.dt
 
 
-def _believed(table: MeasuredModel, band: tuple[float, float] | None) -> NDArray[np.float64]:
+def _believed(table: Any, band: tuple[float, float] | None) -> NDArray[np.float64]:
     """Share (lines, sensors, loads) of each line that is no error (Wiener), and 1 within the band."""
     if table.variance is None:
         return np.ones(table.H.shape)
