@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,7 +45,7 @@ def driven_points(table: FrfModel, driven: tuple[str, str] | None) -> Pairs | No
             raise InputError("no such driven point", where="driven", found=repr(driven),
                              expected=f"(sensor, load) of {names[0]} and {names[1]}")  # fmt: skip
         pairs.append((names[0].index(driven[0]), names[1].index(driven[1]), 1))
-    return (*np.array(pairs).T,) if pairs else None  # type: ignore[return-value]
+    return (*np.array(pairs).T,) if pairs else None
 
 
 def masses(S: Real, B: Real, real: NormalFit, turned: bool, pairs: Pairs | None) -> tuple[Real, Real, Real]:
@@ -96,7 +98,10 @@ def modelled(
     S, B, rest = fit.shapes, fit.participation, fit.rest
     if turned:
         S, B, rest = B, S, rest.transpose(0, 2, 1)
-    own = {"derivative": orders(table.sensors), "corner": np.array([s.highpass or 0.0 for s in table.sensors])}
+    own: dict[str, Any] = {
+        "derivative": orders(table.sensors),
+        "corner": np.array([s.highpass or 0.0 for s in table.sensors]),
+    }
     lam: list[float] = []
     damping: list[float] = []
     rows, columns = [np.zeros((0, S.shape[1]))], [np.zeros((0, B.shape[1]))]

@@ -382,7 +382,7 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
     the others back.
     """
     problem = Problem(band)
-    at = at._replace(participation=turned(at.participation))
+    at = Poles(at.inside, turned(at.participation), at.rest)
     found = problem.solved(at)
     for _ in range(steps):
         R, right, _ = problem.linearised(at, found)

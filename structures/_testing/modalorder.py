@@ -53,7 +53,7 @@ def neighboured(band: FrfBand, fit: ModalFit) -> ModalFit:
     if start <= 0:
         return fit
     near = np.append(fit.rest, pole(NEAR * start, OUTSIDE))
-    trial = fitted(band, fit.at._replace(rest=near), fit.stayed, QUICK)
+    trial = fitted(band, Poles(fit.poles, fit.participation, near), fit.stayed, QUICK)
     size, more = 2 * band.H.size, 2 + band.H.shape[1] * band.H.shape[2]
     gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
     stays = abs(trial.rest[-1]) > 2 * np.pi * STAYS * start
