@@ -143,7 +143,7 @@ def _is_tracker(path: str) -> bool:
     if Path(path).suffix.lower() in SUFFIXES:
         return False
     kind = storage.kind_of(path)
-    if kind is not None and kind not in (KIND, *modelfile.KINDS, FILE, "measured model"):
+    if kind is not None and kind not in (KIND, *modelfile.KINDS, FILE, "measured model", "modal model"):
         raise InputError("this file holds no tracker, and no model to tune", where=path, found=kind,
                          expected=f"{KIND}, or {', '.join(modelfile.KINDS)}",
                          hint="in Python: LoadTracker(model).fit(record).save(file), or model.save(file)")  # fmt: skip

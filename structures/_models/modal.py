@@ -9,41 +9,47 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from .._certificate import Certificate
 from .._channels import Channel
 from .._flags import Flag
 from .._model import Model
 from .._system.factor import MECHANISM
-from .._testing.normalmodes import NormalFit
+from .._testing.modalshapes import ComplexFit, NormalFit, ShapeFit
 from ..errors import InputError, NotIdentifiable, count, digest, lines
 from ..files import _storage as storage
 from .discretise import check, discretise, markov
 from .reduction import ReducedModel, highpass
 from .statespace import StateSpace
+from .viscous import ComplexModes
 
 FILE = "modal model"  # what its file calls itself
 REDUCED = ("lam", "damping", "S", "B", "derivative", "corner")
-ERRORS = tuple(NormalFit.__dataclass_fields__)
+VISCOUS = ("poles", "shapes", "participation", "derivative", "corner")
+ERRORS = tuple(ShapeFit.__dataclass_fields__)
 
 
 class ModalModel(Model):
-    """Modes of a test as a forward model: natural frequencies, damping, real shapes at its sensors and loads.
+    """Modes of a test as a forward model: natural frequencies, damping, shapes at its sensors and loads.
 
+    Shapes are real, as those of a structure with proportional damping, or complex, as those of any other.
     What modes outside the band give inside it is carried by a few resonators beyond its ends, so that frequency
     responses, impulse responses and state space are those of one system. Outside the band nothing was measured.
 
     Parameters
     ----------
     reduced : ReducedModel
-        Modes, then the resonators that stand for those outside the band.
+        Modes, then the resonators that stand for those outside the band; these alone where shapes are complex.
     sensors, loads : sequence of Channel
     modes : int
-        How many of `reduced` are modes of the structure: the first ones.
+        How many of `reduced`, or of `viscous`, are modes of the structure: the first ones.
     band : tuple of float
         First and last line (Hz) of the test.
-    errors : NormalFit, optional
-        Errors of the fit, as `structures._testing.normalmodes` knows them; None for a model that was changed.
+    viscous : ComplexModes, optional
+        Modes with complex shapes.
+    errors : ShapeFit, optional
+        Errors of the fit, as `structures._testing.modalshapes` knows them; None for a model that was changed.
     rows, columns : array of int, optional
         Which outputs and references of the fit its sensors and loads are.
     turned : bool
@@ -68,7 +74,8 @@ class ModalModel(Model):
         *,
         modes: int,
         band: tuple[float, float],
-        errors: NormalFit | None = None,
+        viscous: ComplexModes | None = None,
+        errors: ShapeFit | None = None,
         rows: Sequence[int] | NDArray[np.intp] | None = None,
         columns: Sequence[int] | NDArray[np.intp] | None = None,
         turned: bool = False,
@@ -82,6 +89,7 @@ class ModalModel(Model):
                              found=f"{len(self.sensors)} sensors, {len(self.loads)} loads",
                              expected=f"{reduced.S.shape[0]} and {reduced.B.shape[1]}")  # fmt: skip
         self._reduced, self._modes, self.band = reduced, int(modes), (float(band[0]), float(band[1]))
+        self.viscous = viscous
         self._errors, self._turned, self._kind = errors, bool(turned), int(kind)
         self._rows = np.arange(len(self.sensors)) if rows is None else np.asarray(rows, np.intp)
         self._columns = np.arange(len(self.loads)) if columns is None else np.asarray(columns, np.intp)
@@ -94,19 +102,21 @@ class ModalModel(Model):
 
     # -- the contract -----------------------------------------------------------------------------------------------
     @property
-    def reduced(self) -> ReducedModel:
-        """The modes and the resonators outside the band, in modal coordinates."""
-        return self._reduced
+    def reduced(self) -> ReducedModel | None:
+        """The modes and the resonators outside the band, in modal coordinates; None where shapes are complex."""
+        return self._reduced if self.viscous is None else None
 
     @property
     def natural_frequencies(self) -> NDArray[np.float64]:
         """Natural frequencies (Hz) of the modes, ascending; the resonators outside the band are none."""
-        return np.sort(np.sqrt(self._reduced.lam[: self._modes])) / (2 * np.pi)
+        w = np.sqrt(self._reduced.lam) if self.viscous is None else np.abs(self.viscous.poles)
+        return np.sort(w[: self._modes]) / (2 * np.pi)
 
     @property
     def decay_rate(self) -> float:
         """Slowest decay rate (1/s) of its free motion."""
-        return self._reduced.decay_rate
+        own = self._reduced.decay_rate if len(self._reduced.lam) else np.inf
+        return own if self.viscous is None else float(min(own, np.min(-self.viscous.poles.real)))
 
     def static(self) -> NDArray[np.float64]:
         """Response to a load at rest (sensors, loads): 0 of velocity, acceleration and AC-coupled sensors.
@@ -120,17 +130,21 @@ class ModalModel(Model):
         """
         r = self._reduced
         blind = (r.derivative > 0) | (r.corner > 0)
-        free = (r.lam[self._modes :] < (2 * np.pi * self.band[0]) ** 2) & np.any(r.B[self._modes :] != 0, axis=1)
+        first = self._modes if self.viscous is None else 0
+        free = (r.lam[first:] < (2 * np.pi * self.band[0]) ** 2) & np.any(r.B[first:] != 0, axis=1)
         if free.any() and not blind.all():
             raise NotIdentifiable(
                 "the modes below the band are not known: no response at rest",
                 advice="lower the first line of the test, or use the dynamic response", code=MECHANISM,
             )  # fmt: skip
-        return np.where(blind[:, None], 0.0, (r.S / r.lam) @ r.B)
+        own = 0.0 if self.viscous is None else self.viscous.static()
+        return np.where(blind[:, None], 0.0, (r.S / r.lam) @ r.B + own)
 
     def frf(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
         """Frequency response at `frequencies` (Hz), shape (lines, sensors, loads); measured inside `band` alone."""
-        return self._reduced.frf(lines(frequencies))
+        f = lines(frequencies)
+        own = self._reduced.frf(f)
+        return own if self.viscous is None else own + self.viscous.frf(f)
 
     def frf_variance(self, frequencies: ArrayLike) -> NDArray[np.float64] | None:
         """Variance of the FRF by the errors of poles, shapes and residuals, shape (lines, sensors, loads)."""
@@ -154,6 +168,8 @@ class ModalModel(Model):
         InputError
             If the step, the hold or the number of samples is none.
         """
+        if self.viscous is not None:
+            return self.state_space(dt, hold).impulse_response(dt, samples)
         check(dt, hold)
         return markov(self._reduced, float(dt), hold, count(samples))
 
@@ -167,6 +183,9 @@ class ModalModel(Model):
         """
         check(dt, hold)
         made = discretise(self._reduced, float(dt), hold)
+        if self.viscous is not None:
+            A, B, C, D = self.viscous.discrete(float(dt), hold)
+            made = linalg.block_diag(made[0], A), np.vstack([made[1], B]), np.hstack([made[2], C]), made[3] + D
         return StateSpace(*made, dt, hold, sensors=self.sensors, loads=self.loads)
 
     def perturbed(self, parameter: str, factor: float) -> ModalModel:
@@ -188,21 +207,53 @@ class ModalModel(Model):
             raise InputError("no such change of a modal model", where="perturbed",
                              found=f"{parameter!r} times {factor!r}",
                              expected=f"{', '.join(moved)}, times a positive number")  # fmt: skip
-        return self._like(moved[parameter](), errors=None)
+        viscous = None if self.viscous is None else self.viscous.perturbed(parameter, factor)
+        return self._like(moved[parameter](), viscous=viscous, errors=None)
 
     def with_sensors(self, rows: Sequence[int] | NDArray[np.intp]) -> ModalModel:
         """The same model with some of its sensors, in the order given."""
         kept, r = np.asarray(rows, np.intp), self._reduced
         some = replace(r, S=r.S[kept], derivative=r.derivative[kept], corner=r.corner[kept])
-        return self._like(some, sensors=[self.sensors[i] for i in kept], rows=self._rows[kept])
+        v = self.viscous
+        if v is not None:
+            v = replace(v, shapes=v.shapes[kept], derivative=v.derivative[kept], corner=v.corner[kept])
+        return self._like(some, sensors=[self.sensors[i] for i in kept], rows=self._rows[kept], viscous=v)
 
-    def with_columns(
-        self, reduced: ReducedModel, loads: Sequence[Channel], columns: Sequence[int] | None
+    def under(
+        self,
+        loads: Sequence[Channel],
+        tested: Sequence[int | None],
+        normal: NDArray[np.float64],
+        viscous: NDArray[np.complex128],
     ) -> ModalModel:
-        """The same sensors under other loads: `columns` are those of the test, None where one was not driven."""
-        if columns is None:
-            return self._like(reduced, loads=loads, errors=None, columns=range(len(loads)))
-        return self._like(reduced, loads=loads, columns=self._columns[list(columns)])
+        """The same sensors under other loads.
+
+        Parameters
+        ----------
+        loads : sequence of Channel
+        tested : sequence of int or None
+            Which load of the test each is; None for one that was not driven: the resonators outside the band do not
+            know it.
+        normal, viscous : array (modes, loads)
+            Participations of loads that were not driven, in real and in complex modes; the others are not read.
+        """
+        r, v = self._reduced, self.viscous
+        B = np.zeros((len(r.lam), len(loads)))
+        L = np.zeros((0 if v is None else len(v.poles), len(loads)), complex)
+        for j, i in enumerate(tested):
+            if v is not None:
+                L[:, j] = v.participation[:, i] if i is not None else 0
+                L[: self._modes, j] = viscous[:, j] if i is None else L[: self._modes, j]
+            if i is not None:
+                B[:, j] = r.B[:, i]
+            elif v is None:
+                B[: self._modes, j] = normal[:, j]
+        known = all(i is not None for i in tested)
+        columns = self._columns[[i for i in tested if i is not None]] if known else range(len(loads))
+        return self._like(
+            replace(r, B=B), loads=loads, columns=columns, viscous=None if v is None else replace(v, participation=L),
+            errors=self._errors if known else None,
+        )  # fmt: skip
 
     def with_flags(self, flags: Sequence[Flag]) -> ModalModel:
         """The same model with these flags."""
@@ -211,8 +262,8 @@ class ModalModel(Model):
     def _like(self, reduced: ReducedModel, **changes: Any) -> ModalModel:
         same: dict[str, Any] = {
             "sensors": self.sensors, "loads": self.loads, "modes": self._modes, "band": self.band,
-            "errors": self._errors, "rows": self._rows, "columns": self._columns, "turned": self._turned,
-            "kind": self._kind, "flags": self.flags, "training": self._training,
+            "viscous": self.viscous, "errors": self._errors, "rows": self._rows, "columns": self._columns,
+            "turned": self._turned, "kind": self._kind, "flags": self.flags, "training": self._training,
         }  # fmt: skip
         return ModalModel(reduced, **{**same, **changes})
 
@@ -224,7 +275,8 @@ class ModalModel(Model):
     @property
     def fingerprint(self) -> str:
         """Sha256 of modes, resonators and channels."""
-        return digest("ModalModel", *(getattr(self._reduced, name) for name in REDUCED), self.sensors, self.loads)
+        own = [] if self.viscous is None else [getattr(self.viscous, name) for name in VISCOUS[:3]]
+        return digest("ModalModel", *(getattr(self._reduced, name) for name in REDUCED), *own, self.sensors, self.loads)
 
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -235,10 +287,10 @@ class ModalModel(Model):
             "turned": self._turned, "kind": self._kind, "training": list(self._training),
         }  # fmt: skip
         reduced = {name: getattr(self._reduced, name) for name in REDUCED}
+        viscous = None if self.viscous is None else {name: getattr(self.viscous, name) for name in VISCOUS}
         flags = [f.to_dict() for f in self.flags]
-        storage.write(
-            path, {"reduced": reduced, "errors": errors, **settings, "flags": flags, **self._as_stored()}, FILE
-        )
+        content = {"reduced": reduced, "viscous": viscous, "errors": errors, **settings, "flags": flags}
+        storage.write(path, {**content, **self._as_stored()}, FILE)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ModalModel:
@@ -252,11 +304,13 @@ class ModalModel(Model):
         tree = storage.read(path, FILE)
         try:
             sensors, loads = ([Channel(**c) for c in tree[name]] for name in ("sensors", "loads"))
-            errors = None if tree["errors"] is None else NormalFit(**tree["errors"])
+            viscous = None if tree["viscous"] is None else ComplexModes(**tree["viscous"])
+            fit = NormalFit if viscous is None else ComplexFit
+            errors = None if tree["errors"] is None else fit(**tree["errors"])
             settings = {k: tree[k] for k in ("modes", "rows", "columns", "turned", "kind", "training")}
             made = cls(
                 ReducedModel(**tree["reduced"], residual=None), sensors, loads, band=tuple(tree["band"]),
-                errors=errors, flags=[Flag.from_dict(f) for f in tree["flags"]], **settings,
+                viscous=viscous, errors=errors, flags=[Flag.from_dict(f) for f in tree["flags"]], **settings,
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
             raise InputError("its content is not what this release expects", where=str(path),

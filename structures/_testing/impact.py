@@ -34,6 +34,8 @@ class Hit:
         Force of largest modulus, signed.
     digests : tuple of str
         Digest of each response as recorded, so that a later test can tell whether it was used for training.
+    after : int, optional
+        Samples of the record from the peak on.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Hit:
     reason: str
     peak: float
     digests: tuple[str, ...] = ()
+    after: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +189,9 @@ def from_hits(
     for t in tests:
         f, y = t.values[:, 0], t.values[:, 1:]
         reason = unusable(f, y, labels) or (judge(f, y, labels) if reject else "") or _repeated(y, hits)
-        peak = float(f[np.argmax(np.nan_to_num(np.abs(f), posinf=0.0))])
-        hits.append(Hit(t.name, not reason, reason, peak if np.isfinite(peak) else 0.0, digests(y)))
+        k = int(np.argmax(np.nan_to_num(np.abs(f), posinf=0.0)))
+        peak = float(f[k])
+        hits.append(Hit(t.name, not reason, reason, peak if np.isfinite(peak) else 0.0, digests(y), len(f) - k))
     used = [t for t, h in zip(tests, hits, strict=True) if h.used]
     if not used:
         raise InputError(

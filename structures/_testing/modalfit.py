@@ -8,14 +8,12 @@ residuals are linear, and eliminated: G. H. Golub, V. Pereyra, "Separable nonlin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
-
-from .spectra import smooth_lines
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -24,15 +22,11 @@ STEPS, QUICK = 20, 5  # of Gauss and Newton, at most: at the end, and while mode
 DONE = 1e-6  # relative fall of the misfit that ends them
 HALVINGS = 8
 LEAST = 0.3  # of its decay rate that a pole keeps in one step
-EXTRA = 4  # modes that the residual of a fit may add
-GUESSED = 0.01  # damping ratio with which they begin
-DAMPED = 0.25  # and beyond which there is no mode
 LAGS = 4  # lines over which errors of an estimated FRF are correlated, at most
-BELOW, BELOW_DAMPING = 0.1, 0.5  # the mode that stands for those below the band: share of its start, damping ratio
-ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
-ABOVE_DAMPING = 0.02
-APART = (-4.0, 3.0)  # log of how far above the end they may lie, over the end
-SEARCH = 40  # places that are tried for them
+APART = (-4.0, 3.0)  # log of how far beyond an end of the band a resonator may lie, as a ratio of frequencies less one
+DAMPED, FACTOR = 0.02, 2.0  # damping ratio of a resonator outside the band: where it begins, std of its logarithm
+DAMPINGS = (np.log(1e-3), np.log(0.2))  # logarithms between which it stays
+HELD = 0.3  # damping ratio from which on a resonator stands still: it is no mode, but the sum of many
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +41,47 @@ class FrfBand:
     std : array like H
     derivative : int
         0 receptance, 1 mobility, 2 accelerance.
+    length : float
+        Seconds after which the impulse response was cut; the lines are then those of its transform.
     """
 
     f: Real
     H: Complex
     std: Real
     derivative: int
+    length: float = np.inf
 
     @property
     def s(self) -> Complex:
         """``i omega`` of every line."""
         return np.asarray(2j * np.pi * self.f, complex)
+
+
+class Poles(NamedTuple):
+    """What an FRF does not depend on linearly.
+
+    Parameters
+    ----------
+    inside : array (modes,), complex
+        Poles of the modes, rad/s.
+    participation : array (modes, references), complex
+        The largest entry of each is 1.
+    rest : array (resonators,), complex
+        Poles of the resonators that stand for modes outside the band.
+    """
+
+    inside: Complex
+    participation: Complex
+    rest: Complex
+
+
+class Solved(NamedTuple):
+    """What is linear, for given `Poles`: cost, shapes (modes, outputs), resonators (outputs, unknowns), residual."""
+
+    cost: float
+    shapes: Complex
+    rest: Real
+    residual: Complex
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +96,16 @@ class ModalFit:
         The largest entry of each is 1.
     shapes : array (modes, outputs), complex
         Residues of receptance per participation, unit of the response times s over that of the load.
-    covariance : array (2 modes, 2 modes)
-        Of the real parts of the poles, then of their imaginary parts.
+    covariance : array (unknowns, unknowns)
+        Of the real parts of the poles, then of their imaginary parts, then of the resonators that move, as
+        `moved_slopes` counts them, then of the participations, as `slopes` does.
     misfit : float
         Mean squared residual over the squared std, with the freedom of the fit allowed for.
     residual : array (lines, outputs, references), complex
-    rest : tuple of float
-        Frequencies (Hz) of the modes that stand for those outside the band.
+    rest : array (resonators,), complex
+        Poles of the modes that stand for those outside the band, those below it first.
+    rest_shares : array (outputs, resonators x references)
+        What each gives.
     correlation : array (lags,)
         Of the errors of neighbouring lines, from lag 1 on.
     stayed : array of bool (modes,)
@@ -92,39 +119,90 @@ class ModalFit:
     covariance: Real
     misfit: float
     residual: Complex
-    rest: tuple[float, ...]
+    rest: Complex
+    rest_shares: Real
     correlation: Real
     stayed: NDArray[np.bool_]
 
+    @property
+    def at(self) -> Poles:
+        """Where it stands."""
+        return Poles(self.poles, self.participation, self.rest)
 
-def kernel(s: Complex, p: Complex, derivative: int) -> Complex:
-    """Response of every pole (lines, modes), of the sensor's kind: that of the states ``x' = p x + u``."""
-    base = 1 / (s[:, None] - p)
-    return np.asarray((base, p * base, s[:, None] * p * base)[derivative])
+    def ranked(self, rank: NDArray[np.intp]) -> ModalFit:
+        """The same with its modes in another order."""
+        v, moved = self.participation, 2 * len(moving(self.rest))
+        old = {key: i for i, key in enumerate(_keys(v, moved))}
+        own = [old[name, j, int(rank[k])] if k >= 0 else old[name, j, k] for name, j, k in _keys(v[rank], moved)]
+        return replace(
+            self, poles=self.poles[rank], participation=self.participation[rank], shapes=self.shapes[rank],
+            covariance=self.covariance[np.ix_(own, own)], stayed=self.stayed[rank],
+        )  # fmt: skip
 
 
-def kernel_slope(s: Complex, p: Complex, derivative: int) -> Complex:
+def _keys(v: Complex, moved: int) -> list[tuple[str, int, int]]:
+    """What each unknown of a fit is: a name, a number, its mode or -1."""
+    n = len(v)
+    keys = [(name, 0, k) for name in ("real", "imaginary") for k in range(n)] + [("rest", i, -1) for i in range(moved)]
+    driven = enumerate(_driven(v))
+    return keys + [
+        (name, j, int(k)) for j, moves in driven for name in ("real driven", "imaginary driven") for k in moves
+    ]
+
+
+# -- responses --------------------------------------------------------------------------------------------------------
+def kernel(s: Complex, p: Complex, derivative: int, length: float = np.inf) -> Complex:
+    """Response of every pole (lines, modes), of the sensor's kind: that of the states ``x' = p x + u``.
+
+    Where the impulse response was cut after `length` s and the lines are those of its transform, a pole responds with
+    ``1 - exp(p length)`` of its size.
+    """
+    cut = 1 - np.exp(p * length) if np.isfinite(length) else np.ones(len(p))
+    through = p if derivative == 2 else np.zeros(len(p))
+    return np.asarray(through + p**derivative * cut / (s[:, None] - p))
+
+
+def kernel_slope(s: Complex, p: Complex, derivative: int, length: float = np.inf) -> Complex:
     """Derivative of `kernel` with respect to the pole."""
-    return np.asarray(s[:, None] ** derivative / (s[:, None] - p) ** 2)
+    gone = np.exp(p * length) if np.isfinite(length) else np.zeros(len(p))
+    far, through = 1 / (s[:, None] - p), float(derivative == 2)
+    turn = -length * gone if np.isfinite(length) else 0.0
+    own = derivative * p ** max(derivative - 1, 0) * (1 - gone) + p**derivative * turn
+    return np.asarray(through + own * far + p**derivative * (1 - gone) * far**2)
 
 
-def resonator(s: Complex, frequency: float, damping: float, derivative: int) -> Complex:
-    """Response (lines,) of a mode of unit modal mass that stands for others."""
+def resonators(s: Complex, p: Complex, derivative: int) -> Complex:
+    """Response (lines, modes) of real modes of unit modal mass that have these poles."""
+    return np.asarray(s[:, None] ** derivative / (s[:, None] ** 2 - 2 * p.real * s[:, None] + np.abs(p) ** 2))
+
+
+def pole(frequency: float, damping: float) -> complex:
+    """Pole (rad/s) of a frequency in Hz and a damping ratio."""
     w = 2 * np.pi * frequency
-    return np.asarray(s**derivative / (s**2 + 2 * damping * w * s + w**2))
+    return complex(-damping * w, w * np.sqrt(1 - damping**2))
 
 
-def outside(band: FrfBand, frequencies: Sequence[float]) -> list[Complex]:
-    """What modes at some frequencies (Hz) below and above the band give on its lines."""
-    pairs = [(w, BELOW_DAMPING if w < band.f[0] else ABOVE_DAMPING) for w in frequencies]
-    return [resonator(band.s, w, damping, band.derivative) for w, damping in pairs]
+def moving(rest: Complex) -> NDArray[np.intp]:
+    """Which resonators outside the band have poles that are unknowns."""
+    return np.flatnonzero(-rest.real < HELD * np.abs(rest))
 
 
-def candidates(band: FrfBand) -> list[tuple[float, ...]]:
-    """Sets of frequencies (Hz) of modes that may stand for those outside the band."""
-    above = [tuple(times * float(band.f[-1]) for times in some) for some in ABOVE]
-    low = BELOW * float(band.f[0])
-    return [*above, *((low, *some) for some in above)] if low > 0 else above
+def moved_slopes(s: Complex, rest: Complex, ends: tuple[float, float], derivative: int) -> Complex:
+    """Derivatives (lines, 2 resonators) of resonators outside a band with these ends in Hz.
+
+    With respect to the logarithms of their distances from it, then to those of their damping ratios.
+    """
+    w, decay, (low, high) = np.abs(rest), -rest.real, 2 * np.pi * np.asarray(ends)
+    h, plain = resonators(s, rest, derivative), resonators(s, rest, 0)
+    by = np.where(w < low, w * (w / low - 1), w - high)
+    far = -h * plain * (2 * decay / w * s[:, None] + 2 * w) * by
+    return np.asarray(np.concatenate([far, -h * plain * 2 * decay * s[:, None]], axis=1))
+
+
+def _unknown(rest: Complex, ends: tuple[float, float]) -> tuple[Real, Real]:
+    """Logarithms of the distance from the band, as a ratio of frequencies less one, and of the damping ratio."""
+    w, (low, high) = np.abs(rest), 2 * np.pi * np.asarray(ends)
+    return np.log(np.where(w < low, low / w, w / high) - 1), np.log(-rest.real / w)
 
 
 def real_rows(x: Complex) -> Real:
@@ -133,59 +211,102 @@ def real_rows(x: Complex) -> Real:
     return np.concatenate([flat.real, flat.imag])
 
 
-class _Problem:
-    """One band, one set of out-of-band modes: what a set of poles and participations leaves."""
+def each_reference(columns: Complex, references: int) -> Complex:
+    """Columns (lines, references, unknowns x references) that every reference has for itself."""
+    out = np.zeros((len(columns), references, columns.shape[1], references), complex)
+    for j in range(references):
+        out[:, j, :, j] = columns
+    return out.reshape(len(columns), references, -1)
 
-    def __init__(self, band: FrfBand, rest: Sequence[float]) -> None:
+
+def basis(s: Complex, derivative: int, at: Poles, length: float = np.inf) -> Complex:
+    """What the linear unknowns of an output are multiplied by, (lines, references, 2 modes + resonators x references).
+
+    Real parts of the shapes, their imaginary parts, resonators of every reference.
+    """
+    g = kernel(s, at.inside, derivative, length)
+    c = kernel(s, at.inside.conj(), derivative, length)
+    a, b = g[:, None, :] * at.participation.T[None], c[:, None, :] * at.participation.conj().T[None]
+    rest = each_reference(resonators(s, at.rest, derivative), at.participation.shape[1])
+    return np.concatenate([a + b, 1j * (a - b), rest], axis=2)
+
+
+def slopes(
+    s: Complex,
+    derivative: int,
+    at: Poles,
+    psi: Complex,
+    rest: Real,
+    ends: tuple[float, float],
+    length: float = np.inf,
+) -> Complex:
+    """Derivatives (lines, references, unknowns) of the FRFs of an output with shapes (modes,) and resonators.
+
+    Poles, real and imaginary, resonators that move, participations but for the largest of each mode.
+    """
+    p, v = at.inside, at.participation
+    a = kernel_slope(s, p, derivative, length)[:, None, :] * (psi * v.T)[None]
+    b = kernel_slope(s, p.conj(), derivative, length)[:, None, :] * (psi * v.T).conj()[None]
+    own = moving(at.rest)
+    moved = moved_slopes(s, at.rest[own], ends, derivative)
+    share = rest.reshape(-1, v.shape[1])[own].T
+    parts = [a + b, 1j * (a - b), moved[:, None, :] * np.tile(share, (1, 2))[None]]
+    if v.shape[1] > 1:
+        g = kernel(s, p, derivative, length) * psi
+        c = kernel(s, p.conj(), derivative, length) * psi.conj()
+        for j, moves in enumerate(_driven(v)):
+            one = np.zeros((len(s), v.shape[1], 2 * len(moves)), complex)
+            one[:, j] = np.concatenate([(g + c)[:, moves], 1j * (g - c)[:, moves]], axis=1)
+            parts.append(one)
+    return np.concatenate(parts, axis=2)
+
+
+def _driven(v: Complex) -> list[NDArray[np.intp]]:
+    """Modes whose participation of each reference is unknown."""
+    largest = np.argmax(np.abs(v), axis=1)
+    return [np.flatnonzero(largest != j) for j in range(v.shape[1])] if v.shape[1] > 1 else []
+
+
+# -- one problem ------------------------------------------------------------------------------------------------------
+class Problem:
+    """One band: what a set of poles leaves, and how that changes with them."""
+
+    def __init__(self, band: FrfBand) -> None:
         self.band, self.w = band, 1 / band.std
-        self.outside = outside(band, rest)
         self.lines, self.outputs, self.references = band.H.shape
+        self.ends = float(band.f[0]), float(band.f[-1])
 
-    def basis(self, p: Complex, v: Complex) -> Complex:
-        """Columns (lines, references, linear unknowns) of one output before weighting."""
-        g, c = kernel(self.band.s, p, self.band.derivative), kernel(self.band.s, p.conj(), self.band.derivative)
-        a, b = g[:, None, :] * v.T[None], c[:, None, :] * v.conj().T[None]
-        rest = np.zeros((self.lines, self.references, len(self.outside) * self.references), complex)
-        for i, u in enumerate(self.outside):
-            for j in range(self.references):
-                rest[:, j, i * self.references + j] = u
-        return np.concatenate([a + b, 1j * (a - b), rest], axis=2)
+    def basis(self, at: Poles) -> Complex:
+        """Columns of one output before weighting, as `basis` has them."""
+        return basis(self.band.s, self.band.derivative, at, self.band.length)
 
-    def slopes(self, p: Complex, v: Complex, psi: Complex, largest: NDArray[np.intp]) -> Complex:
-        """Derivatives (lines, references, unknowns) of one output's FRF: poles, real and imaginary, participations."""
-        s, d = self.band.s, self.band.derivative
-        a = kernel_slope(s, p, d)[:, None, :] * (psi * v.T)[None]
-        b = kernel_slope(s, p.conj(), d)[:, None, :] * (psi * v.T).conj()[None]
-        parts = [a + b, 1j * (a - b)]
-        if self.references > 1:
-            g, c = kernel(s, p, d) * psi, kernel(s, p.conj(), d) * psi.conj()
-            for j in range(self.references):
-                moves = largest != j
-                one = np.zeros((self.lines, self.references, 2 * int(moves.sum())), complex)
-                one[:, j] = np.concatenate([(g + c)[:, moves], 1j * (g - c)[:, moves]], axis=1)
-                parts.append(one)
-        return np.concatenate(parts, axis=2)
-
-    def solved(self, p: Complex, v: Complex) -> tuple[float, Complex, Complex]:
-        """Misfit, shapes (modes, outputs) and residual for these poles."""
-        basis, n = self.basis(p, v), len(p)
+    def solved(self, at: Poles) -> Solved:
+        """Shapes and residual for these poles; the cost counts how far the dampings of resonators are from usual."""
+        columns, n = self.basis(at), len(at.inside)
         psi, residual = np.zeros((n, self.outputs), complex), np.empty_like(self.band.H)
+        rest = np.zeros((self.outputs, columns.shape[2] - 2 * n))
         for o in range(self.outputs):
             w = self.w[:, o]
-            rows = real_rows(basis * w[..., None])
+            rows = real_rows(columns * w[..., None])
             data = real_rows((self.band.H[:, o] * w)[..., None])[:, 0]
             x = linalg.lstsq(rows, data, lapack_driver="gelsy", check_finite=False)[0]
-            psi[:, o] = x[:n] + 1j * x[n : 2 * n]
-            residual[:, o] = self.band.H[:, o] - basis @ x
-        return float(np.sum(np.abs(residual * self.w) ** 2)), psi, residual
+            psi[:, o], rest[o] = x[:n] + 1j * x[n : 2 * n], x[2 * n :]
+            residual[:, o] = self.band.H[:, o] - columns @ x
+        cost = float(np.sum(np.abs(residual * self.w) ** 2) + np.sum(self._unusual(at) ** 2))
+        return Solved(cost, psi, rest, residual)
 
-    def losses(self, p: Complex, v: Complex) -> Real:
+    def _unusual(self, at: Poles) -> Real:
+        """Logarithms of the damping ratios outside the band over the usual one, at the weight of the data."""
+        damped = _unknown(at.rest[moving(at.rest)], self.ends)[1]
+        return np.asarray((damped - np.log(DAMPED)) / FACTOR / np.sqrt(2))
+
+    def losses(self, at: Poles) -> Real:
         """How much the squared residual would rise without each mode (modes,), its unknowns eliminated."""
-        basis, n = self.basis(p, v), len(p)
+        columns, n = self.basis(at), len(at.inside)
         out = np.zeros(n)
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
-            rows = np.hstack([real_rows(basis * w), real_rows(self.band.H[:, o, :, None] * w)])
+            rows = np.hstack([real_rows(columns * w), real_rows(self.band.H[:, o, :, None] * w)])
             R = linalg.qr(rows, mode="r", check_finite=False)[0][: rows.shape[1]]
             for k in range(n):
                 own = [k, n + k]
@@ -194,59 +315,57 @@ class _Problem:
                 out[k] += np.sum(last[len(rest) : len(rest) + 2, -1] ** 2)
         return out
 
-    def linearised(self, p: Complex, v: Complex, psi: Complex, residual: Complex) -> tuple[Real, Real, list[Complex]]:
+    def linearised(self, at: Poles, found: Solved) -> tuple[Real, Real, list[Complex]]:
         """Triangle (unknowns, unknowns) and right side of the projected problem; the projected slopes by output."""
-        basis, largest = self.basis(p, v), np.argmax(np.abs(v), axis=1)
+        columns = self.basis(at)
         R, kept = np.zeros((0, 0)), []
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
-            Q = linalg.qr(real_rows(basis * w), mode="economic", check_finite=False)[0]
-            J = real_rows(self.slopes(p, v, psi[:, o], largest) * w)
+            Q = linalg.qr(real_rows(columns * w), mode="economic", check_finite=False)[0]
+            turn = slopes(self.band.s, self.band.derivative, at, found.shapes[:, o], found.rest[o], self.ends,
+                          self.band.length)  # fmt: skip
+            J = real_rows(turn * w)
             J -= Q @ (Q.T @ J)
-            r = real_rows(residual[:, o, :, None] * w)
-            stacked = np.hstack([J, r])
+            stacked = np.hstack([J, real_rows(found.residual[:, o, :, None] * w)])
             R = linalg.qr(np.vstack([R, stacked]) if R.size else stacked, mode="r", check_finite=False)[0]
             R = R[: stacked.shape[1]]
             half = len(J) // 2
             kept.append((J[:half] + 1j * J[half:]).reshape(self.lines, self.references, -1))
+        unusual = self._unusual(at)
+        rows = np.zeros((len(unusual), R.shape[1]))
+        first = 2 * len(at.inside) + len(unusual)
+        rows[:, first : first + len(unusual)] = np.eye(len(unusual)) / FACTOR / np.sqrt(2)
+        rows[:, -1] = -unusual
+        R = linalg.qr(np.vstack([R, rows]), mode="r", check_finite=False)[0][: R.shape[1]]
         return R[:-1, :-1], R[:-1, -1], kept
 
+    def linear(self, at: Poles) -> int:
+        """Number of linear unknowns."""
+        return self.outputs * (2 * len(at.inside) + len(at.rest) * self.references)
 
-def completed(band: FrfBand, poles: Complex, participation: Complex) -> tuple[float, ...]:
-    """The set of `candidates` that explains most, a larger set only where it is worth its unknowns (Schwarz)."""
-    v, size = turned(participation), 2 * band.H.size
+    def moved(self, at: Poles, step: Real) -> Poles:
+        """Poles after a step, in which none moves by more than its decay rate or ceases to decay.
 
-    def worth(some: tuple[float, ...]) -> float:
-        problem = _Problem(band, some)
-        cost = problem.solved(poles, v)[0]
-        floor = np.finfo(float).eps ** 2 * float(np.sum(np.abs(band.H / band.std) ** 2))
-        return size * float(np.log(max(cost, floor))) + _linear(problem, len(poles)) * float(np.log(size))
-
-    return min(candidates(band), key=worth)
-
-
-def placed(band: FrfBand, fit: ModalFit) -> ModalFit:
-    """A fit whose modes above the band stand where its own modes leave least, by a search over their frequencies.
-
-    Where they stand in the wrong place, what they miss goes into the residues, most of all of the load that drives
-    them most.
-    """
-    from scipy.optimize import minimize
-
-    low, top = [w for w in fit.rest if w < band.f[0]], float(band.f[-1])
-    start = np.log([w / top - 1 for w in fit.rest if w > top])
-
-    def frequencies(x: Real) -> tuple[float, ...]:
-        return (*low, *(top * (1 + np.exp(np.clip(x, *APART)))).tolist())
-
-    def left(x: Real) -> float:
-        cost = _Problem(band, frequencies(x)).solved(fit.poles, fit.participation)[0]
-        return float(np.log(max(cost, np.finfo(float).tiny)))
-
-    simplex = np.vstack([start, start + 0.5 * np.eye(len(start))])
-    limits = {"maxfev": SEARCH, "xatol": 0.02, "fatol": 1e-4, "initial_simplex": simplex}
-    best = minimize(left, start, method="Nelder-Mead", options=limits).x
-    return fitted(band, fit.poles, fit.participation, frequencies(best), fit.stayed, QUICK)
+        A resonator moves by its distance from the band at most, and its damping by a factor of e.
+        """
+        p, v, own = at.inside, at.participation, moving(at.rest)
+        n, q = len(p), len(own)
+        by = step[:n] + 1j * step[n : 2 * n]
+        there = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
+        there = np.minimum(there.real, LEAST * p.real) + 1j * there.imag
+        rest, place = np.array(at.rest), 2 * n + 2 * q
+        far, damped = _unknown(rest[own], self.ends)
+        low = np.abs(rest[own]) < 2 * np.pi * self.ends[0]
+        most = np.where(low, 0.0, APART[1])  # a mode below half of the first line is one of many
+        far = np.exp(np.clip(far + np.clip(step[2 * n : 2 * n + q], -1, 1), APART[0], most)) + 1
+        damped = np.exp(np.clip(damped + np.clip(step[2 * n + q : place], -1, 1), *DAMPINGS))
+        f = np.where(low, self.ends[0] / far, self.ends[1] * far)
+        rest[own] = [pole(x, z) for x, z in zip(f, damped, strict=True)]
+        u = np.array(v)
+        for j, moves in enumerate(_driven(v)):
+            u[moves, j] += step[place : place + len(moves)] + 1j * step[place + len(moves) : place + 2 * len(moves)]
+            place += 2 * len(moves)
+        return Poles(there, turned(u), rest)
 
 
 def turned(v: Complex) -> Complex:
@@ -255,48 +374,39 @@ def turned(v: Complex) -> Complex:
     return v / np.where(top == 0, 1.0, top)[:, None]
 
 
-def fitted(
-    band: FrfBand,
-    poles: Complex,
-    participation: Complex,
-    rest: Sequence[float],
-    stayed: NDArray[np.bool_],
-    steps: int = STEPS,
-) -> ModalFit:
+# -- the fit ----------------------------------------------------------------------------------------------------------
+def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STEPS) -> ModalFit:
     """Poles and participations of maximum likelihood, begun at some.
 
     Gauss and Newton with steps that are halved while they do not lower the misfit; a pole that is vague holds none of
     the others back.
     """
-    v = turned(participation)
-    problem = _Problem(band, rest)
-    p, (cost, psi, residual) = poles, problem.solved(poles, v)
+    problem = Problem(band)
+    at = Poles(at.inside, turned(at.participation), at.rest)
+    found = problem.solved(at)
     for _ in range(steps):
-        R, right, _slopes = problem.linearised(p, v, psi, residual)
+        R, right, _ = problem.linearised(at, found)
         step = _step(R, right)
         for k in range(HALVINGS):
-            q, u = _moved(p, v, step * 0.5**k)
-            trial = problem.solved(q, u)
-            if trial[0] < cost:
+            there = problem.moved(at, step * 0.5**k)
+            trial = problem.solved(there)
+            if trial.cost < found.cost:
                 break
         else:
             break
-        fall = (cost - trial[0]) / max(cost, np.finfo(float).tiny)
-        p, v, (cost, psi, residual) = q, u, trial
+        fall = (found.cost - trial.cost) / max(found.cost, np.finfo(float).tiny)
+        at, found = there, trial
         if fall < DONE:
             break
-    R, _, slopes = problem.linearised(p, v, psi, residual)
-    white = residual / band.std
-    freedom = max(2 * residual.size - R.shape[1] - _linear(problem, len(p)), 1)
-    misfit = 2 * cost / freedom
+    R, _, turns = problem.linearised(at, found)
+    white = found.residual / band.std
+    freedom = max(2 * white.size - R.shape[1] - problem.linear(at), 1)
+    misfit = 2 * float(np.sum(np.abs(white) ** 2)) / freedom
     rho = correlation(white)
-    covariance = _covariance(R, slopes, rho) * misfit / 2
-    n = 2 * len(p)
-    return ModalFit(p, v, psi, covariance[:n, :n], misfit, residual, tuple(rest), rho, stayed)
-
-
-def _linear(problem: _Problem, modes: int) -> int:
-    return problem.outputs * (2 * modes + len(problem.outside) * problem.references)
+    covariance = _covariance(R, turns, rho) * misfit / 2
+    return ModalFit(
+        at.inside, at.participation, found.shapes, covariance, misfit, found.residual, at.rest, found.rest, rho, stayed
+    )
 
 
 def _step(R: Real, right: Real) -> Real:
@@ -304,20 +414,6 @@ def _step(R: Real, right: Real) -> Real:
     scale = np.linalg.norm(R, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     return np.asarray(linalg.lstsq(R / scale, right, cond=1e-10, check_finite=False)[0] / scale)
-
-
-def _moved(p: Complex, v: Complex, step: Real) -> tuple[Complex, Complex]:
-    """Poles and participations after a step, in which no pole moves by more than its decay rate, or ceases to decay."""
-    n, largest = len(p), np.argmax(np.abs(v), axis=1)
-    by = step[:n] + 1j * step[n : 2 * n]
-    q = p + by * np.minimum(1.0, np.abs(p.real) / np.maximum(np.abs(by), np.finfo(float).tiny))
-    q = np.minimum(q.real, LEAST * p.real) + 1j * q.imag
-    u, place = np.array(v), 2 * n
-    for j in range(v.shape[1] if v.shape[1] > 1 else 0):
-        moves = np.flatnonzero(largest != j)
-        u[moves, j] += step[place : place + len(moves)] + 1j * step[place + len(moves) : place + 2 * len(moves)]
-        place += 2 * len(moves)
-    return q, turned(u)
 
 
 def correlation(white: Complex) -> Real:
@@ -357,73 +453,3 @@ def _covariance(R: Real, slopes: list[Complex], rho: Real) -> Real:
     values, vectors = np.linalg.eigh(0.5 * (middle + middle.T))
     wide = root @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     return np.asarray(wide @ wide.T)
-
-
-def extended(band: FrfBand, fit: ModalFit) -> ModalFit:
-    """A fit with the modes that its residual shows, one after the other while each is worth its unknowns.
-
-    Each begins where the smoothed residual is largest over its std; one that moves onto a mode that is there, within
-    the sum of their decay rates, is none.
-    """
-    size = 2 * band.H.size
-    for _ in range(EXTRA):
-        power = smooth_lines(np.sum(np.abs(fit.residual / band.std) ** 2, axis=(1, 2)), 2)
-        line = int(np.argmax(power))
-        at = 2 * np.pi * band.f[line]
-        v = linalg.svd(fit.residual[line] / band.std[line])[2][:1]
-        p, u = np.append(fit.poles, complex(-GUESSED * at, at)), np.concatenate([fit.participation, v])
-        trial = fitted(band, p, turned(u), fit.rest, np.append(fit.stayed, False), QUICK)
-        gain = size * np.log(_power(band, fit) / max(_power(band, trial), np.finfo(float).tiny))
-        apart = np.abs(trial.poles[-1] - trial.poles[:-1]) > np.abs(trial.poles[-1].real + trial.poles[:-1].real)
-        if (
-            gain < _unknowns(band) * np.log(size)
-            or not apart.all()
-            or -trial.poles[-1].real > DAMPED * abs(trial.poles[-1])
-        ):
-            break
-        fit = trial
-    return fit
-
-
-def _power(band: FrfBand, fit: ModalFit) -> float:
-    return float(np.sum(np.abs(fit.residual / band.std) ** 2))
-
-
-def _unknowns(band: FrfBand) -> int:
-    """Real unknowns of one mode."""
-    return 2 + 2 * band.H.shape[1] + 2 * (band.H.shape[2] - 1)
-
-
-def selected(
-    band: FrfBand, poles: Complex, participation: Complex, stayed: NDArray[np.bool_] | None = None
-) -> tuple[ModalFit, int]:
-    """Fit of those modes that explain more than chance would, and how many were dropped that stay over the orders.
-
-    A mode stays where its loss would raise the squared residual by more than ``log(data)`` for each of its unknowns
-    (Schwarz, Annals of Statistics 6, 1978), and where its decay rate is known to a half; the least of them goes first.
-    """
-    known = np.ones(len(poles), bool) if stayed is None else stayed
-    fit = extended(band, fitted(band, poles, participation, completed(band, poles, participation), known, QUICK))
-    before = int(np.sum(fit.stayed))
-    while len(fit.poles):
-        losses = _Problem(band, fit.rest).losses(fit.poles, fit.participation) / fit.misfit
-        std = np.sqrt(np.diag(fit.covariance))[: len(fit.poles)]
-        weak = losses < _unknowns(band) * np.log(2 * band.H.size)
-        bad = weak | (std > 0.5 * np.abs(fit.poles.real))
-        if not bad.any():
-            break
-        if len(losses) == 1:
-            return replace(fit, stayed=np.zeros(1, bool)), before
-        kept = np.arange(len(losses)) != np.argmin(np.where(bad, losses, np.inf))
-        fit = fitted(band, fit.poles[kept], fit.participation[kept], fit.rest, fit.stayed[kept], QUICK)
-    fit = placed(band, fit)
-    fit = fitted(band, fit.poles, fit.participation, fit.rest, fit.stayed)
-    return fit, before - int(np.sum(fit.stayed))
-
-
-def reweighted(band: FrfBand, residual: Complex, *, known: bool) -> FrfBand:
-    """The band with the std that its residuals show, smoothed over neighbouring lines; a known one is the least."""
-    half = max(5, len(band.f) // 40)
-    power = smooth_lines(np.abs(residual) ** 2, half)
-    floor = band.std**2 if known else 1e-12 * np.mean(np.abs(band.H) ** 2, axis=0)
-    return replace(band, std=np.sqrt(np.maximum(power, floor)))

@@ -3,40 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._channels import Channel
-from .._flags import Evidence, Flag, collect
-from .._model import Model
-from .._models.measured import MeasuredModel
+from .._flags import Flag, collect
 from .._models.modal import ModalModel
-from .._models.reduction import ReducedModel, highpass
 from .._models.tabulated import FrfModel
 from ..errors import InputError, whole
 from . import kinds
-from .impact import judge, unusable
-from .modalfit import FrfBand, ModalFit, reweighted, selected
-from .normalmodes import NormalFit, normal
+from .modalanswer import complex_flag, driven_points, masses, missed_flag, modelled, poor_flag, reciprocal, truer
+from .modaldata import of_own_length, picked, prepared, table_of
+from .modalfit import FrfBand, ModalFit
+from .modalorder import reweighted, selected
+from .modalshapes import complex_shapes, normal
 from .polyreference import ORDERS, REFERENCES, Stabilisation, stabilisation
-from .spectra import smooth_lines
-from .welch import gather
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-LEAST = 16  # lines of a band
-SMALL = 1e-6  # of the rms of an entry, below which its std is not believed
-MISFIT = 1.5  # mean squared residual over the stated variance, above which the residuals say what the std is
-VAGUE = 0.2  # relative std of a damping ratio
+MISFIT = 1.5  # mean squared residual over the stated variance, above which an added mode is not taken for one
 SURE, BROAD = 0.05, 0.1  # relative std of its decay, and damping ratio, up to which an added pole is a mode
-NARROW = 4.0  # lines within the half-power bandwidth, below which a Hann window makes damping too large
-LEFT = 0.01  # share of the power of the FRFs that real shapes may leave
-MISSED = 0.05  # of the rms of the FRFs that the model may miss, beyond their noise
-ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +93,7 @@ class MeasuredModes:
     frf: FrfModel
     flags: tuple[Flag, ...]
     _model: ModalModel
+    _reciprocal: Complex
 
     def __len__(self) -> int:
         return len(self.frequencies)
@@ -151,13 +142,13 @@ class MeasuredModes:
             return own
         tested = {c.label: j for j, c in enumerate(own.loads)}
         seen = {c.label: i for i, c in enumerate(own.sensors)}
-        columns, channels, kept = [], [], []
-        n = len(own.reduced.lam)
-        for label in loads:
+        places: list[int | None] = []
+        normal, viscous = np.zeros((len(self), len(loads))), np.zeros((len(self), len(loads)), complex)
+        channels = []
+        for column, label in enumerate(loads):
+            places.append(tested.get(label))
             if label in tested:
-                columns.append(own.reduced.B[:, tested[label]])
                 channels.append(own.loads[tested[label]])
-                kept.append(tested[label])
                 continue
             if label not in seen or own.sensors[seen[label]].quantity not in kinds.ORDER:
                 raise InputError("no such place", where="MeasuredModes.model", found=repr(label),
@@ -170,13 +161,11 @@ class MeasuredModes:
                     expected="response and force at one place, for every mode",
                     hint='label both with their DOF (12+Z), or name them: identify_modes(..., driven=("a1", "F1"))',
                 )  # fmt: skip
-            column = np.zeros(n)
-            column[: len(self)] = self.normal_shapes[seen[label]]
-            columns.append(column)
+            normal[:, column] = self.normal_shapes[seen[label]]
+            if own.viscous is not None:
+                viscous[:, column] = own.viscous.shapes[seen[label], : len(self)] * self._reciprocal
             channels.append(Channel(label=label, quantity="force", unit="N"))
-        reduced = replace(own.reduced, B=np.column_stack(columns))
-        whole_test = len(kept) == len(loads)
-        return own.with_columns(reduced, channels, kept if whole_test else None)
+        return own.under(channels, places, normal, viscous)
 
 
 def identify_modes(
@@ -226,16 +215,17 @@ def identify_modes(
     -----
     With more loads than sensors (a roving hammer) loads and sensors change their roles.
     """
-    table = _table(source, forces, responses, dt, kind, segment)
-    picked = _picked(table, band)
-    fitted_band, turned, weights_known = _prepared(picked)
+    table, length = of_own_length(table_of(source, forces, responses, dt, kind, segment), band)
+    taken = picked(table, band)
+    fitted_band, turned, known = prepared(taken, length)
+    stated = fitted_band.std if known else None
     poles, participation, found = _start(fitted_band, order)
     if not len(poles):
         raise _nothing(found)
     fit, dropped = selected(fitted_band, poles, participation)
-    if not weights_known or fit.misfit > MISFIT:
-        fitted_band = reweighted(fitted_band, fit.residual, known=weights_known)
-        poles, participation, again = _start(fitted_band, order)  # weak modes stay where the weights are right
+    if not known:  # weak modes stay where the weights are right
+        fitted_band = reweighted(fitted_band, fit.residual)
+        poles, participation, again = _start(fitted_band, order)
         if len(poles) >= np.sum(fit.stayed):
             found, (fit, dropped) = again, selected(fitted_band, poles, participation)
         else:
@@ -244,8 +234,7 @@ def identify_modes(
     fit, inside = _sorted(fit, fitted_band)
     if not inside:
         raise _nothing(found)
-    real = normal(fitted_band, fit)
-    return _result(picked, fitted_band, fit, real, inside, turned, found, dropped, driven)
+    return _result(taken, fitted_band, fit, inside, stated, turned, found, dropped, driven)
 
 
 def _nothing(found: Stabilisation) -> InputError:
@@ -254,94 +243,6 @@ def _nothing(found: Stabilisation) -> InputError:
         found=f"{len(found.poles)} poles over all orders, {found.unstable} unstable ones left out",
         expected="a mode in the band", hint="another band, a higher order, or FRFs with more coherence",
     )  # fmt: skip
-
-
-# -- what is fitted ---------------------------------------------------------------------------------------------------
-def _table(source: Any, forces: Any, responses: Any, dt: float | None, kind: str | None, segment: int | None) -> Model:
-    """FRFs of a source: a model as it is, records estimated."""
-    if isinstance(source, Model):
-        if source.frequencies is None:
-            raise InputError("a model that has no lines of its own", where="identify_modes", found=repr(source)[:200],
-                             expected="measured FRFs or records",
-                             hint="FrfModel.of(model, lines) is its table")  # fmt: skip
-        return source
-    if forces is None or responses is None:
-        raise InputError("which channels are forces?", where="identify_modes", found=f"{forces=}, {responses=}",
-                         expected="forces= and responses= of records, or an FrfModel",
-                         hint="FrfModel.from_frf(f, H, kind=...) takes arrays of FRFs")  # fmt: skip
-    records = source if isinstance(source, list | tuple) else [source]
-    several = isinstance(forces, list | tuple) and len(forces) > 1
-    force = forces[0] if isinstance(forces, list | tuple) else forces
-    if not several and _hammered(records, force, dt):
-        heard = list(responses) if isinstance(responses, list | tuple) else [responses]
-        made: Model = MeasuredModel.from_hits(list(records), dt=dt, force=force, responses=heard)
-        return made
-    return FrfModel.from_records(source, forces=forces, responses=responses, dt=dt, kind=kind, segment=segment)
-
-
-def _hammered(records: Sequence[Any], force: str | int, dt: float | None) -> bool:
-    """Whether the force of every record is one hit, and rest besides."""
-    tables, _, channels = gather(list(records), dt, None)
-    labels = [c.label for c in channels]
-    column = labels.index(force) if force in labels else int(force) if isinstance(force, int) else None
-    if column is None:
-        raise InputError("no such channel", where="forces", found=repr(force), expected=f"one of {labels}")
-    for t in tables:
-        f = t[:, column] - np.median(t[:, column])
-        quiet = np.zeros((len(f), 0))
-        if unusable(f, quiet, []) or judge(f, quiet, []):
-            return False
-    return True
-
-
-def _picked(table: Model, band: tuple[float, float] | None) -> FrfModel:
-    """The lines of a band, as a table with their variance."""
-    f = np.asarray(table.frequencies, float)
-    low, high = (0.0, np.inf) if band is None else (float(band[0]), float(band[1]))
-    within = (f > 0) & (f >= low) & (f <= high)
-    if table.sampled:
-        within &= f < f[-1]  # the last line of a transform is real
-    if np.sum(within) < LEAST:
-        raise InputError("too few lines in the band", where="identify_modes", found=f"{int(np.sum(within))} lines",
-                         expected=f"at least {LEAST}",
-                         hint=f"the FRFs run from {f[0]:.5g} to {f[-1]:.5g} Hz")  # fmt: skip
-    f = f[within]
-    return FrfModel(
-        f, table.frf(f), sensors=table.sensors, loads=table.loads, variance=table.frf_variance(f), flags=table.flags
-    )
-
-
-def _orders(sensors: Sequence[Channel]) -> NDArray[np.int64]:
-    """How often each sensor's reading is derived from a displacement."""
-    unknown = next((s for s in sensors if s.quantity not in ORDER), None)
-    if unknown is not None:
-        raise InputError(
-            "receptance, mobility or accelerance?", where=f"channel {unknown.label}", found=unknown.quantity,
-            expected="displacement, velocity, acceleration or strain", code="LID-W208",
-            hint="state the quantity of the channel, or FrfModel.from_frf(f, H, kind=...)",
-        )  # fmt: skip
-    return np.array([ORDER[s.quantity] for s in sensors])
-
-
-def _prepared(table: FrfModel) -> tuple[FrfBand, bool, bool]:
-    """FRFs of one kind with their std, whether loads were taken for outputs, and whether the std was known."""
-    own, f = _orders(table.sensors), table.frequencies
-    common = int(np.bincount(own).argmax())
-    corner = np.array([s.highpass or 0.0 for s in table.sensors])
-    factor = (2j * np.pi * f[:, None]) ** (common - own) / highpass(f, corner)
-    H = table.H * factor[:, :, None]
-    rms = np.sqrt(np.mean(np.abs(H) ** 2, axis=0))
-    rms = np.where(rms > 0, rms, rms.max())
-    known = table.variance is not None and bool(np.any(table.variance > 0))
-    if known:
-        power = smooth_lines(np.asarray(table.variance), 3) * np.abs(factor[:, :, None]) ** 2
-        std = np.sqrt(np.maximum(power, (SMALL * rms) ** 2))
-    else:
-        std = np.broadcast_to(rms, H.shape)
-    turned = H.shape[2] > H.shape[1]
-    if turned:
-        H, std = H.transpose(0, 2, 1), std.transpose(0, 2, 1)
-    return FrfBand(f, H, np.array(std), common), turned, known
 
 
 def _start(band: FrfBand, order: int | None) -> tuple[Complex, Complex, Stabilisation]:
@@ -371,54 +272,55 @@ def _sorted(fit: ModalFit, band: FrfBand) -> tuple[ModalFit, int]:
     std = np.sqrt(np.diag(fit.covariance))[: len(f)]
     known = (std < SURE * np.abs(fit.poles.real)) & (-fit.poles.real < BROAD * np.abs(fit.poles))
     within = (fit.stayed | (known & (fit.misfit < MISFIT))) & (f >= band.f[0]) & (f <= band.f[-1])
-    rank = np.lexsort((f, ~within))
-    both = np.concatenate([rank, len(rank) + rank])
-    moved = replace(
-        fit, poles=fit.poles[rank], participation=fit.participation[rank], shapes=fit.shapes[rank],
-        covariance=fit.covariance[np.ix_(both, both)], stayed=fit.stayed[rank],
-    )  # fmt: skip
-    return moved, int(within.sum())
+    return fit.ranked(np.lexsort((f, ~within))), int(within.sum())
 
 
 # -- what is told -----------------------------------------------------------------------------------------------------
 def _result(
-    table: FrfModel, band: FrfBand, fit: ModalFit, real: NormalFit, n: int, turned: bool, found: Stabilisation,
+    table: FrfModel, band: FrfBand, fit: ModalFit, n: int, stated: Real | None, turned: bool, found: Stabilisation,
     dropped: int, driven: tuple[str, str] | None,
 ) -> MeasuredModes:  # fmt: skip
+    """What `n` modes and those that only make the FRFs right tell together."""
     p, size = fit.poles[:n], np.abs(fit.poles[:n])
-    x, y = p.real, p.imag
-    own = np.concatenate([np.arange(n), len(fit.poles) + np.arange(n)])
-    cov = fit.covariance[np.ix_(own, own)]
-    xx, yy, xy = np.diag(cov)[:n], np.diag(cov)[n:], np.diag(cov[:n, n:])
-    a, b = x / size, y / size
-    f_std = np.sqrt(np.maximum(a * a * xx + b * b * yy + 2 * a * b * xy, 0)) / (2 * np.pi)
-    c, d = -(y**2) / size**3, x * y / size**3
-    z_std = np.sqrt(np.maximum(c * c * xx + d * d * yy + 2 * c * d * xy, 0))
+    f_std, z_std = _spread(p, fit.covariance, len(fit.poles))
     outputs, references = fit.shapes[:n], fit.participation[:n]
     shapes, driving = (references, outputs) if turned else (outputs, references)
-    S, B, rest = real.shapes, real.participation, real.rest
+    real, full = normal(band, fit, stated), complex_shapes(band, fit, stated)
+    best, share = truer(real, full, band)
+    S, B, rest = real.shapes[:n], real.participation[:n], real.rest
     if turned:
         S, B, rest = B, S, rest.transpose(0, 2, 1)
-    scale, mass, spread = _masses(table, S[:n], B[:n], real, n, turned, driven)
-    known = np.isfinite(scale)
-    S, B = np.array(S), np.array(B)
-    S[:n][known] *= scale[known, None]
-    B[:n][known] /= scale[known, None]
-    top = np.max(np.abs(S[:n]), axis=1, initial=0)
-    shown = np.where(known[:, None], S[:n], S[:n] / np.where(top > 0, top, 1)[:, None])
-    far = real.low
-    w = 2 * np.pi * real.frequencies
-    model = _modelled(table, band, real, S, B, rest, n, turned)
+    pairs = driven_points(table, driven)
+    scale, mass, spread = masses(S, B, real, turned, pairs)
+    top = np.max(np.abs(S), axis=1, initial=0)
+    shown = S * np.where(np.isfinite(scale), scale, 1 / np.where(top > 0, top, 1))[:, None]
+    far, w = real.low, np.abs(real.rest_poles)
     told = outputs if outputs.shape[1] > 1 else references
-    result = MeasuredModes(
-        frequencies=size / (2 * np.pi), damping=-x / size, frequency_std=f_std, damping_std=z_std,
-        shapes=_unit(shapes).T, participation=_unit(driving).T, normal_shapes=shown.T, mpc=_mpc(told),
+    model = modelled(table, band, best, scale, n, turned)
+    frequencies, damping, mpc = size / (2 * np.pi), -p.real / size, _mpc(told)
+    flags = collect([
+        *table.flags, complex_flag(share, mpc, frequencies), poor_flag(frequencies, damping, z_std, band),
+        missed_flag(best, table, turned),
+    ])  # fmt: skip
+    return MeasuredModes(
+        frequencies=frequencies, damping=damping, frequency_std=f_std, damping_std=z_std,
+        shapes=_unit(shapes).T, participation=_unit(driving).T, normal_shapes=shown.T, mpc=mpc,
         modal_mass=mass, modal_mass_std=spread, lower=rest[far].sum(axis=0),
-        upper=np.einsum("i,isl->sl", 1 / w[~far] ** 2, rest[~far]), band=(float(band.f[0]), float(band.f[-1])),
-        misfit=fit.misfit, dropped=dropped, stabilisation=found, frf=table, flags=(), _model=model,
+        upper=np.einsum("i,isl->sl", 1 / w[~far] ** 2, rest[~far]), band=real.ends, misfit=fit.misfit,
+        dropped=dropped, stabilisation=found, frf=table, flags=flags, _model=model.with_flags(flags),
+        _reciprocal=reciprocal(shapes, driving, pairs),
     )  # fmt: skip
-    flags = collect([*table.flags, _complex(result, real), _poor(result, band), _missed(table, model)])
-    return replace(result, flags=flags, _model=model.with_flags(flags))
+
+
+def _spread(p: Complex, covariance: Real, modes: int) -> tuple[Real, Real]:
+    """Std of natural frequencies (Hz) and of damping ratios of the first poles of so many."""
+    n, size = len(p), np.abs(p)
+    power = np.diag(covariance)
+    xx, yy, xy = power[:n], power[modes : modes + n], np.diag(covariance[:n, modes : modes + n])
+    a, b = p.real / size, p.imag / size
+    f_std = np.sqrt(np.maximum(a * a * xx + b * b * yy + 2 * a * b * xy, 0)) / (2 * np.pi)
+    c, d = -(p.imag**2) / size**3, p.real * p.imag / size**3
+    return f_std, np.sqrt(np.maximum(c * c * xx + d * d * yy + 2 * c * d * xy, 0))
 
 
 def _unit(v: Complex) -> Complex:
@@ -432,107 +334,3 @@ def _mpc(v: Complex) -> Real:
     xx, yy, xy = np.sum(v.real**2, axis=1), np.sum(v.imag**2, axis=1), np.sum(v.real * v.imag, axis=1)
     whole = np.where(xx + yy > 0, xx + yy, 1.0)
     return np.asarray(((xx - yy) ** 2 + 4 * xy**2) / whole**2)
-
-
-def _masses(
-    table: FrfModel, S: Real, B: Real, real: NormalFit, n: int, turned: bool, driven: tuple[str, str] | None
-) -> tuple[Real, Real, Real]:
-    """Factor on the shapes that makes their modal mass one, modal mass of shapes whose largest entry is 1, its std."""
-    pairs = [(i, j, kinds.drive_point(s, c)) for i, s in enumerate(table.sensors) for j, c in enumerate(table.loads)]
-    pairs = [one for one in pairs if one[2] and table.sensors[one[0]].quantity in kinds.ORDER]
-    if driven is not None:
-        names = [s.label for s in table.sensors], [c.label for c in table.loads]
-        if len(driven) != 2 or driven[0] not in names[0] or driven[1] not in names[1]:
-            raise InputError("no such driven point", where="driven", found=repr(driven),
-                             expected=f"(sensor, load) of {names[0]} and {names[1]}")  # fmt: skip
-        pairs.append((names[0].index(driven[0]), names[1].index(driven[1]), 1))
-    scale = np.full(n, np.nan)
-    relative = np.full(n, np.nan)
-    if pairs:
-        i, j, sign = np.array(pairs).T
-        product = sign * S[:, i] * B[:, j]  # square of the shape of unit mass at the driven points
-        square = product.sum(axis=1) / np.maximum(np.sum(S[:, i] ** 2, axis=1), np.finfo(float).tiny)
-        scale = np.where(square > 0, np.sqrt(np.maximum(square, 0)), np.nan)
-        at = (j, i) if turned else (i, j)
-        size, slope = np.abs(S[:, i] * B[:, j]), real.slope[at]
-        power = np.einsum("ekp,pr,ekr->ke", slope, real.poles_covariance, slope)[:n]
-        std = np.sqrt(np.einsum("ekk->ke", real.covariance[at])[:n] + power)
-        relative = np.min(std / np.maximum(size, np.finfo(float).tiny), axis=1)
-    top = np.maximum(np.max(np.abs(S), axis=1, initial=0) * scale, np.max(np.abs(B), axis=1, initial=0) / scale)
-    mass = 1 / np.where(top > 0, top, np.nan) ** 2
-    return scale, mass, mass * relative
-
-
-def _modelled(
-    table: FrfModel, band: FrfBand, real: NormalFit, S: Real, B: Real, rest: Real, n: int, turned: bool
-) -> ModalModel:
-    """Forward model of the modes and of resonators for what lies outside the band, one for each rank of their share."""
-    lam, damping = [*(np.abs(real.poles) ** 2)], [*(-2 * real.poles.real)]
-    rows, columns = [*S], [*B]
-    for matrix, f, z in zip(rest, real.frequencies, real.rest_damping, strict=True):
-        U, sizes, V = np.linalg.svd(matrix, full_matrices=False)
-        for u, size, v in zip(U.T, sizes, V, strict=True):
-            if size > 1e-9 * sizes[0]:
-                lam.append((2 * np.pi * f) ** 2)
-                damping.append(4 * np.pi * z * f)
-                rows.append(u * np.sqrt(size))
-                columns.append(v * np.sqrt(size))
-    reduced = ReducedModel(
-        lam=np.array(lam), damping=np.array(damping), S=np.array(rows).T, B=np.array(columns), residual=None,
-        derivative=_orders(table.sensors), corner=np.array([s.highpass or 0.0 for s in table.sensors]),
-    )  # fmt: skip
-    ends = (float(band.f[0]), float(band.f[-1]))
-    return ModalModel(
-        reduced, table.sensors, table.loads, modes=n, band=ends, errors=real, turned=turned, kind=band.derivative
-    )
-
-
-def _complex(found: MeasuredModes, real: NormalFit) -> Flag | None:
-    """W217 where real shapes leave more of the FRFs than complex ones."""
-    if real.share <= LEFT or not len(found):
-        return None
-    k = int(np.argmin(found.mpc))
-    return Flag(
-        "W217",
-        Evidence("share of the power of the FRFs that real shapes leave", real.share, LEFT),
-        f"the shapes are complex: lowest modal phase collinearity {found.mpc[k]:.2f} at {found.frequencies[k]:.5g} Hz",
-    )
-
-
-def _poor(found: MeasuredModes, band: FrfBand) -> Flag | None:
-    """W218 for modes at the ends of the band, too narrow for its lines, on top of each other, or vague."""
-    f, z = found.frequencies, found.damping
-    width = 2 * z * f
-    step = np.gradient(band.f)[np.clip(np.searchsorted(band.f, f), 0, len(band.f) - 1)]
-    gap = np.abs(f[:, None] - f) + np.where(np.eye(len(f)), np.inf, 0.0)
-    reasons = [
-        ("at the end of the band", (f - band.f[0] < width) | (band.f[-1] - f < width)),
-        ("narrower than the lines", width < NARROW * step),
-        ("on top of another", np.any(gap < 0.5 * (width[:, None] + width), axis=1)),
-        (f"damping known to {VAGUE:.0%} at most", found.damping_std > VAGUE * z),
-    ]
-    bad = np.any([mask for _, mask in reasons], axis=0)
-    if not bad.any():
-        return None
-    said = [f"{', '.join(f'{x:.5g}' for x in f[mask][:8])} Hz: {why}" for why, mask in reasons if mask.any()]
-    return Flag("W218", Evidence("modes that the test tells poorly", float(bad.sum()), 0.0), "; ".join(said))
-
-
-def _missed(table: FrfModel, model: ModalModel) -> Flag | None:
-    """W219 where the model does not answer as the structure was measured to, whatever the std of its modes."""
-    off = np.abs(model.frf(table.frequencies) - table.H) ** 2
-    noise = np.zeros(off.shape) if table.variance is None else np.asarray(table.variance)
-    power = np.mean(np.abs(table.H) ** 2, axis=0)
-    power = np.where(power > 0, power, 1.0)
-    each = np.sqrt(np.maximum(np.mean(off - noise, axis=0), 0) / power)
-    all_of_it = float(np.sqrt(np.mean(each**2)))
-    if all_of_it <= MISSED:
-        return None
-    i, j = np.unravel_index(int(np.argmax(each)), each.shape)
-    line = int(np.argmax(np.sum(off / power, axis=(1, 2))))
-    return Flag(
-        "W219",
-        Evidence("rms of the measured FRFs that the model misses beyond their noise", all_of_it, MISSED),
-        f"the modes miss the measured FRFs by {all_of_it:.0%}, {table.sensors[i].label} over {table.loads[j].label} by "
-        f"{each[i, j]:.0%}, most at {table.frequencies[line]:.5g} Hz",
-    )

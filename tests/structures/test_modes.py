@@ -18,7 +18,8 @@ from structures import (
     loads,
     sensors,
 )
-from structures._testing.modalfit import FrfBand, fitted, selected
+from structures._testing.modalfit import FrfBand, Poles, fitted
+from structures._testing.modalorder import selected
 from structures._testing.polyreference import stabilisation
 from structures.errors import InputError
 from structures.files._modelfile import load_any
@@ -100,9 +101,9 @@ def test_std_of_poles_cover_the_truth():
         rng = np.random.default_rng(seed)
         noisy = H + std * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
         band = FrfBand(LINES[::2], noisy[::2], np.full((len(LINES[::2]), 5, 2), std), 2)
-        fit = fitted(band, start[:7], SHAPES[:2, :7].T.astype(complex), (230.0, 420.0), np.ones(7, bool))
+        fit = fitted(band, Poles(start[:7], SHAPES[:2, :7].T.astype(complex), start[7:]), np.ones(7, bool))
         off = fit.poles[:INSIDE] - start[:INSIDE]
-        size = np.sqrt(np.diag(fit.covariance)).reshape(2, -1)[:, :INSIDE]
+        size = np.sqrt(np.diag(fit.covariance))[: 2 * INSIDE].reshape(2, -1)
         errors.append(np.array([off.real, off.imag]) / size)
         inside.append(np.abs(errors[-1]) < 1.96)
     assert 0.92 < np.mean(inside) < 0.98  # 560 bands: 95 % +- 0.9 % (std)
@@ -121,9 +122,9 @@ def test_correlated_lines_widen_the_std():
         e = rng.standard_normal((len(LINES) + 2, 3, 1)) + 1j * rng.standard_normal((len(LINES) + 2, 3, 1))
         e = (0.5 * e[1:-1] + 0.25 * (e[:-2] + e[2:])) / np.sqrt(2 * 0.375)
         band = FrfBand(LINES, H + std * e, np.full(H.shape, std), 2)
-        fit = fitted(band, start[:7], np.ones((7, 1), complex), (230.0, 420.0), np.ones(7, bool))
+        fit = fitted(band, Poles(start[:7], np.ones((7, 1), complex), start[7:]), np.ones(7, bool))
         assert abs(fit.correlation[0] - 2 / 3) < 0.06
-        size = np.sqrt(np.diag(fit.covariance)).reshape(2, -1)
+        size = np.sqrt(np.diag(fit.covariance))[: 2 * INSIDE].reshape(2, -1)
         off = fit.poles - start[:7]
         smooth.append(np.array([off.real / size[0], off.imag / size[1]])[:, :4])
     assert 0.8 < np.std(smooth) < 1.2  # without the correlation 1.4
