@@ -1,0 +1,63 @@
+"""``loadid lab``: pages in a browser that show what the package's own code does."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
+
+from . import Command, say
+
+EXAMPLES = """\
+examples:
+  open the lab in the browser; Ctrl-C ends it:
+    loadid lab
+  on a machine without a browser, at a port of your choice:
+    loadid lab --no-browser --port 8123
+
+The server listens on 127.0.0.1 alone, and answers only who has the address that it prints: the token in it is new at
+every start. Nothing is fetched from the network.
+"""
+
+
+def port(text: str) -> int:
+    """A port, 0 for any that is free."""
+    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
+        raise ArgumentTypeError(f"{text!r} is no port: a whole number from 0 to 65535")
+    return int(text)
+
+
+def _configure(parser: ArgumentParser) -> None:
+    parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
+    parser.add_argument("--port", type=port, default=0, metavar="N", help="port to listen on; default any that is free")
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+
+
+def _run(args: Namespace) -> int:
+    from .._lab.pages import pages
+    from .._lab.server import Lab
+
+    lab = Lab(pages(), args.port)
+    say(f"the lab is at {lab.address} (Ctrl-C ends it)")
+    if not args.no_browser:
+        _open(lab.address)
+    try:
+        lab.run()
+    except KeyboardInterrupt:
+        say("the lab has ended", aside=True)
+    finally:
+        lab.http.server_close()
+    return 0
+
+
+def _open(address: str) -> None:
+    """Show the address in a browser, where there is one."""
+    import webbrowser
+
+    try:
+        shown = webbrowser.open(address)
+    except (webbrowser.Error, OSError):
+        shown = False
+    if not shown:
+        say("no browser was found: open the address yourself", aside=True)
+
+
+command = Command("lab", "pages in a browser: see what inversion does, and learn the trade", _configure, _run)
