@@ -214,7 +214,7 @@ class Deconvolution:
         assert solution.posterior is not None
         load, std = solution.load, np.broadcast_to(solution.posterior.std, solution.load.shape)
         bias = identifiability.hidden(path, lam, load, std)
-        return Quick(load, np.maximum(std, np.abs(bias)), path.residual(lam))
+        return Quick(load, np.maximum(std, np.abs(bias)))
 
     def _found(
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None

@@ -21,13 +21,10 @@ class Quick:
     ----------
     load, std : array
         As in the estimate at that lambda.
-    residual : array
-        Whitened: over the noise of each sensor.
     """
 
     load: NDArray[Any]
     std: NDArray[Any]
-    residual: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from .._lab.explore import Exploration
+
 Array = NDArray[Any]
 
 
@@ -406,6 +408,32 @@ class LoadEstimate:
         from .._plots import plot
 
         return plot(self, kind, truth=truth, ax=ax, path=path, show=show)
+
+    def explore(self, *, browser: bool | None = None, port: int = 0) -> Exploration:
+        """The estimate in the lab: a page with its L-curve, a slider for lambda, residuals and flags.
+
+        The page is served on this machine alone until `Exploration.close`; nothing waits for it.
+
+        Parameters
+        ----------
+        browser : bool, optional
+            Open it in the browser; default yes, but not in a notebook, which shows the page where it stands.
+        port : int
+            0 for any that is free.
+
+        Returns
+        -------
+        Exploration
+            With the `address` of the page; its ``repr`` says it too.
+
+        Raises
+        ------
+        InputError
+            A port that cannot be had.
+        """
+        from .._lab.explore import explore
+
+        return explore(self, browser=browser, port=port)
 
     def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""

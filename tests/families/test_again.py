@@ -79,8 +79,6 @@ def test_the_quick_answer_is_that_of_the_whole_one() -> None:
         quick, whole = found.again.quick(lam), found.at(lam)
         np.testing.assert_array_equal(quick.load, whole.load)
         np.testing.assert_array_equal(quick.std, whole.std)
-        level = np.sqrt(np.mean(quick.residual**2))
-        assert level == pytest.approx(np.sqrt(whole.again.path.at(lam).residual2 / whole.again.path.m), rel=0.02)
 
 
 @pytest.mark.parametrize("constraints", [[], [NonNegative()]])
