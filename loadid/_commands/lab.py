@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
+from typing import TYPE_CHECKING
 
-from . import Command, say
+from . import Command, UsageError, add_log_options, one_record, say, settings
+
+if TYPE_CHECKING:
+    from .._lab.contract import Page
 
 EXAMPLES = """\
 examples:
@@ -12,6 +16,9 @@ examples:
     loadid lab
   on a machine without a browser, at a port of your choice:
     loadid lab --no-browser --port 8123
+
+  your own data: the record, the load, and the load at any lambda:
+    loadid lab log.csv model.h5
 
 The server listens on 127.0.0.1 alone, and answers only who has the address that it prints: the token in it is new at
 every start. Nothing is fetched from the network.
@@ -27,18 +34,23 @@ def port(text: str) -> int:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
+    parser.add_argument("log", metavar="LOG", nargs="?", help="log to look at, with the model behind it")
+    parser.add_argument("model", metavar="MODEL", nargs="?", help="model file, as for loadid identify --model")
     parser.add_argument("--port", type=port, default=0, metavar="N", help="port to listen on; default any that is free")
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    add_log_options(parser)
 
 
 def _run(args: Namespace) -> int:
     from .._lab.pages import pages
     from .._lab.server import Lab
 
-    lab = Lab(pages(), args.port)
-    say(f"the lab is at {lab.address} (Ctrl-C ends it)")
+    own = None if args.log is None else _own(args)
+    lab = Lab(pages() if own is None else [own if page.name == own.name else page for page in pages()], args.port)
+    address = lab.address if own is None else lab.page(own.name)
+    say(f"the lab is at {address} (Ctrl-C ends it)")
     if not args.no_browser:
-        _open(lab.address)
+        _open(address)
     try:
         lab.run()
     except KeyboardInterrupt:
@@ -46,6 +58,19 @@ def _run(args: Namespace) -> int:
     finally:
         lab.http.server_close()
     return 0
+
+
+def _own(args: Namespace) -> Page:
+    """The page of one's own data, with the files that are named on it."""
+    if args.model is None:
+        raise UsageError("LOG is looked at with the model behind it: loadid lab LOG MODEL (see loadid lab --help)")
+    from .._lab.desk import Desk
+    from .._lab.own import page_of
+
+    desk = Desk()
+    desk.read_model(args.model)
+    desk.read_log(args.log, record=one_record(args) or "", **settings(args))
+    return page_of(desk)
 
 
 def _open(address: str) -> None:

@@ -59,7 +59,7 @@ class Desk:
         self._drawn = lru_cache(KEPT)(self._shown)
 
     # -- files --------------------------------------------------------------------------------------------------------
-    def read_model(self, path: Path) -> dict[str, Any]:
+    def read_model(self, path: str | Path) -> dict[str, Any]:
         """Put a model there, and say what it is; a log that lay there is taken away.
 
         Raises
@@ -75,13 +75,17 @@ class Desk:
             self._put(None)
         return self.state()
 
-    def read_log(self, path: Path, *, fs: str = "", columns: str = "", record: str = "", units: str = "") -> dict[str, Any]:
-        """Put a log there, read as the options of the same names have it, and say what is in it.
+    def read_words(self, path: Path, *, fs: str, columns: str, record: str, units: str) -> dict[str, Any]:
+        """Put a log there, read as words have it that options of these names would be given."""
+        return self.read_log(path, record=record, **_reading(fs, columns, units))
+
+    def read_log(self, path: str | Path, *, record: str = "", **reading: Any) -> dict[str, Any]:
+        """Put a log there, read as `loadid.read` reads it, and say what is in it.
 
         Raises
         ------
         InputError
-            No model yet, words that are none, and all that the reader refuses; where units or a step must be stated
+            No model yet, and all that the reader refuses; where units or a step must be stated
             it says so.
         """
         from .._commands._inputs import sensor_table
@@ -89,14 +93,13 @@ class Desk:
 
         if self._model is None:
             raise InputError("a log is read for a model", where="log", found="no model", expected="the model first")
-        reading = _reading(fs, columns, units)
         labels = [s.label for s in self._model.sensors]
         plain = self._model.gives("static") and not (reading or record)
         found: Any = sensor_table(path, labels) if plain else None
         if found is None:
             found = read(path, record=record or None, **reading)
         with self._lock:
-            self._log, self._name = found, path.name
+            self._log, self._name = found, Path(path).name
             self._put(None)
         return self.state()
 
@@ -145,7 +148,8 @@ class Desk:
             **_answer(e), "loads": list(e.labels), "units": list(e.units), "family": str(e.provenance.get("family", "")),
             "path": str(e.facts.get("path") or ""), "sweep": None if choice is None else _sweep(e),
             "picard": _picard(e), "range": _range(e), "lacks": lacks(e),
-            "lam": None if choice is None else choice.lam,
+            "lam": None if choice is None else choice.lam, "single": e.axis is None,
+            "axis": None if e.axis is None else f"{e.axis.name} {e.axis.unit}".strip(),
         }  # fmt: skip
 
     def at(self, lam: float) -> dict[str, Any]:

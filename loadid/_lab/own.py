@@ -31,7 +31,7 @@ def page_of(desk: Desk | None = None, *, given: bool = False) -> Page:
         return kept[0]
 
     def read_log(upload: Path, **reading: str) -> dict[str, Any]:
-        return own().read_log(upload, **reading)
+        return own().read_words(upload, **reading)
 
     sent = {
         "model": Call(lambda upload: own().read_model(upload), {}, upload=LARGEST_MODEL),
