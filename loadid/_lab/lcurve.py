@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._inverse.path import RegularizationPath
 from .._inverse.rules import RULES, gcv_function, run
 from .._inverse.svd import SVDPath
 from .._inverse.sweep import Sweep
@@ -59,7 +60,7 @@ def curves(seed: int, correlated: bool) -> dict[str, Any]:
     """What is drawn of one draw: norms, GCV and error over lambda, each in its own range, and every rule's choice."""
     found = sweep(seed, correlated)
     path, point, scale = found.path, found.point, float(found.path.scale)
-    wrong = errors(_dense(path))
+    wrong = errors(dense(path))
     told = [run(name, found) for name in RULES]
     asked = [r for r in told if r.lam is not None]
     return rounded({
@@ -89,7 +90,7 @@ def at(seed: int, correlated: bool, lam: float) -> dict[str, Any]:
 
 @cache
 def histogram(correlated: bool) -> dict[str, Any]:
-    """What `DRAWS` draws let some rules choose: counts over `BINS`, medians of lambda, and of error over the oracle's."""
+    """What `DRAWS` draws let rules choose: counts over `BINS`, medians of lambda, and of error over the oracle's."""
     draws = np.column_stack([readings(seed, correlated) for seed in range(DRAWS)])
     wrong = errors(SURFACE.path(draws))
     best, oracle = wrong.min(axis=0), GRID[np.argmin(wrong, axis=0)]
@@ -119,7 +120,8 @@ def _own_range(values: Array) -> Array:
     return np.asarray((values - low) / (high - low))
 
 
-def _dense(path: Any) -> SVDPath:
+def dense(path: RegularizationPath) -> SVDPath:
+    """The path of a sweep, which is that of a matrix."""
     assert isinstance(path, SVDPath)
     return path
 

@@ -1,7 +1,7 @@
 """The compliant surface of the lab: x in [0, 1] in cells, a load on them, and what markers on it read.
 
-The kernel ``H_ij = (h / pi) t / (t^2 + (x_i - x_j)^2)`` stands for a bonded layer of thickness t: its half-width is t. The
-readings are those of the same cells that are estimated, so that exact data give the load back exactly.
+The kernel ``H_ij = (h / pi) t / (t^2 + (x_i - x_j)^2)`` stands for a bonded layer of thickness t: its half-width is t.
+The readings are those of the same cells that are estimated, so that exact data give the load back exactly.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Surface:
         return _factored(self.t, tuple(self.markers.tolist()), penalty, truncated).with_data(data)
 
     def errors(self, load: Array) -> tuple[Array, Array]:
-        """Of a load (..., cells): that of its resultant over the resultant, and the rms one of the map over the peak."""
+        """Of a load (..., cells): that of its resultant over the true one, and the rms one of the map over the peak."""
         true = self.load
         resultant = np.abs(load.sum(axis=-1) - true.sum()) / true.sum()
         return np.asarray(resultant), np.asarray(np.sqrt(np.mean((load - true) ** 2, axis=-1)) / true.max())
