@@ -112,7 +112,7 @@ class LoopbackHandler(BaseHTTPRequestHandler):
         self.rfile = io.BufferedReader(self._patient)
 
     def finish(self) -> None:
-        """Say all, and let who was refused while still sending read why: a connection closed on unread data is reset."""
+        """Say all, and let who was refused while sending read why: a connection closed on unread data is reset."""
         super().finish()
         if self._refused:
             self.connection.shutdown(socket.SHUT_WR)

@@ -67,7 +67,7 @@ export const written = (value, digits = 3) => {
   if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  const text = size >= 1e-3 && size < 1e5 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1);
+  const text = size >= 1e-3 && size < 1e5 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1).replace(/\.?0+e/, "e");
   return text.replace("e+", "e").replace(/^-/, "−").replace("e-", "e−");
 };
 export const percent = (value, digits = 1) => value === null ? "–" : `${written(100 * value, digits + 2)} %`;
