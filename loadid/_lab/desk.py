@@ -310,7 +310,8 @@ def _answer(e: LoadEstimate) -> dict[str, Any]:
     from .._results.summary import headline, summary
 
     return {
-        "summary": summary(e, command=True).splitlines(), "peaks": [asdict(p) for p in e.peaks],
+        "summary": summary(e, command=True).splitlines()[:-1],  # the last says where more is to be had
+        "peaks": [asdict(p) for p in e.peaks],
         "grade": str(e.grade), "flags": _flags(e.flags),
         "lambda": "" if e.choice is None else headline(e.choice), "verdict": "" if e.choice is None else e.choice.verdict,
         "edf": e.facts.get("edf"), "residuals": _residuals(e), "resolved": e.facts.get("residual_to_noise"),

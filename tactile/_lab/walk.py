@@ -106,7 +106,7 @@ def _layer() -> Any:
 
 
 def _on_ball(layer: Any) -> tuple[Press, Sphere]:
-    """The press of which the surface in contact has the shape of the ball, at its rim and its deepest point."""
+    """The press that leaves the shape of the ball at its deepest point and its rim; between them to 4 % of the depth."""
     from tactile import Press, Sphere
 
     ends = np.array([[0.0, 0.0], [RADIUS, 0.0]])
