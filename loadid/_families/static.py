@@ -267,11 +267,8 @@ class StaticInversion:
     def _at(self, given: Readings, posed: StaticProblem, choice: Choice, lam: float) -> LoadEstimate:
         own = copy(self)
         own.choice, own.calibration, own._progress = lam, None, Progress(None)
-        if posed.constrained:
-            choice = own.choose(posed)
-        else:
-            choice = moved(choice, posed.path, lam)
-        return own._kept(given, posed, choice)
+        now = own.choose(posed) if posed.constrained else moved(choice, posed.path, lam)
+        return own._kept(given, posed, now)
 
     def at_rest(self) -> StaticProblem:
         """The problem without readings: what a frozen inverse is made of."""

@@ -592,13 +592,13 @@ def positive_lambda(lam: object) -> float:
     """
     found = relative(lam)
     if found == 0:
-        raise InputError("at lambda 0 the problem is another one", where="lambda", found="0", expected="a number above 0",
-                         hint="ask the family with choice=0")  # fmt: skip
+        raise InputError("at lambda 0 the problem is another one", where="lambda", found="0",
+                         expected="a number above 0", hint="ask the family with choice=0")  # fmt: skip
     return found
 
 
 def moved(choice: Choice, path: RegularizationPath, lam: float) -> Choice:
-    """The choice of a user who gives `lam` after the rules were asked: they are judged beside it as beside any other."""
+    """The choice of a user who gives `lam` after the rules were asked, which are judged beside it as ever."""
     edf = path.at(lam).edf
     given_now = replace(choice, lam=lam, rule="given", edf=None if edf is None else float(edf), shown=None)
     if not choice.rules:

@@ -3,12 +3,35 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
+
+from .contract import Call, Page, Real, Whole
 
 if TYPE_CHECKING:
     from .._results.estimate import LoadEstimate
+    from .shown import Shown
 
 HEIGHT = 900  # px of the frame in a notebook
+LAMBDA = Real(0.0, 1e12)  # relative; 0 is the estimate as it was found
+
+
+def page_with(shown: Callable[[], Shown], more: dict[str, Call]) -> Page:
+    """The page that shows an estimate, and what else it is asked."""
+    return Page(
+        "own",
+        "Your own data",
+        "A log and a model: what was recorded, what the data can tell, and the load at any lambda.",
+        "loadid._lab",
+        "files/own.html",
+        {
+            "found": Call(lambda: shown().found()),
+            "picture": Call(lambda lam, load: shown().picture(lam, load), {"lam": LAMBDA, "load": Whole(0, 100_000)}),
+            "at": Call(lambda lam: shown().at(lam), {"lam": LAMBDA}),
+            "save": Call(lambda lam: shown().save(lam), {"lam": LAMBDA}),
+            **more,
+        },
+    )
 
 
 class Exploration:
@@ -23,11 +46,13 @@ class Exploration:
     """
 
     def __init__(self, estimate: LoadEstimate, port: int = 0) -> None:
-        from .desk import Desk
-        from .own import page_of
         from .server import Lab
+        from .shown import Shown
 
-        self._lab: Any = Lab([page_of(Desk(estimate), given=True)], port).start()
+        shown = Shown(estimate)
+        state = {"model": None, "log": None, "found": True, "given": True}
+        page = page_with(lambda: shown, {"state": Call(lambda: state)})
+        self._lab: Any = Lab([page], port).start()
         self.address: str = self._lab.page("own")
 
     def close(self) -> None:
@@ -51,8 +76,10 @@ class Exploration:
         if self._lab is None:
             return "<p>This exploration is closed.</p>"
         address = html.escape(self.address, quote=True)
-        return (f'<iframe src="{address}" title="estimate in the lab" width="100%" height="{HEIGHT}" '
-                f'style="border: 1px solid #888"></iframe><p><a href="{address}">in a window of its own</a></p>')  # fmt: skip
+        return (
+            f'<iframe src="{address}" title="estimate in the lab" width="100%" height="{HEIGHT}"></iframe>'
+            f'<p><a href="{address}">in a window of its own</a></p>'
+        )
 
 
 def explore(estimate: LoadEstimate, *, browser: bool | None = None, port: int = 0) -> Exploration:
@@ -60,11 +87,10 @@ def explore(estimate: LoadEstimate, *, browser: bool | None = None, port: int = 
     found = Exploration(estimate, port)
     if browser or (browser is None and not in_notebook()):
         import webbrowser
+        from contextlib import suppress
 
-        try:
+        with suppress(webbrowser.Error, OSError):  # none here: the address is there all the same
             webbrowser.open(found.address)
-        except (webbrowser.Error, OSError):  # none here: the address is there all the same
-            pass
     return found
 
 

@@ -316,8 +316,8 @@ class LoadEstimate:
             raise InputError(
                 "this estimate holds no problem that could be solved at another lambda", where="at",
                 found=str(self.provenance.get("family", "an estimate of unknown origin")),
-                expected="what Deconvolution, FieldDeconvolution, StaticInversion or HarmonicInversion returned in this "
-                "process", hint="ask the family again, with choice=",
+                expected="what Deconvolution, FieldDeconvolution, StaticInversion or HarmonicInversion returned here",
+                hint="ask the family again, with choice=",
             )  # fmt: skip
         found = self.again.full(positive_lambda(lam))
         notes = self.provenance.get("notes")

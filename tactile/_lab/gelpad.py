@@ -25,7 +25,7 @@ def _picture(vanish: bool, rest: bool) -> dict[str, str]:
 page = Page(
     "gelpad",
     "Gel pad walkthrough",
-    "A ball presses a gel pad, a camera sees dots move, and six steps make a force map of it. Each can be done wrongly.",
+    "A ball presses a gel pad, a camera sees dots move, and six steps make a force map: each rightly, or wrongly.",
     "tactile._lab",
     "files/gelpad.html",
     {

@@ -106,7 +106,7 @@ def _layer() -> Any:
 
 
 def _on_ball(layer: Any) -> tuple[Press, Sphere]:
-    """The press that leaves the shape of the ball at its deepest point and its rim; between them to 4 % of the depth."""
+    """The press that leaves the shape of the ball at its deepest point and its rim, and between them to 4 %."""
     from tactile import Press, Sphere
 
     ends = np.array([[0.0, 0.0], [RADIUS, 0.0]])
@@ -155,7 +155,7 @@ def pressed(vanish: bool) -> Array:
 @cache
 def dots(vanish: bool) -> Array:
     """Places of the dots of that image (k, 2), px."""
-    found: Array = eye(False).tracker.detector(pressed(vanish)).points  # type: ignore[misc]
+    found: Array = eye(False).tracker.detector(pressed(vanish)).points
     return found
 
 
@@ -260,7 +260,7 @@ def ridged(vanish: bool, naive: bool, noise: float, uncorrected: bool, wrong: bo
 def _known(made: Completed) -> tuple[Array, Array, Array]:
     """Motion of the nodes that markers reach: rows of the compliance, readings, weights of what was measured.
 
-    In the plane that of the markers, along the normal that of the pad on its indenter, as one more marker for each node.
+    In the plane that of the markers, along the normal that of the pad on its indenter, as a marker for each node.
     """
     used = made.field.used
     nodes = np.flatnonzero(made.field.inside)

@@ -44,7 +44,8 @@ def same(one: loadid.LoadEstimate, other: loadid.LoadEstimate, rtol: float = 1e-
     np.testing.assert_allclose(one.std, other.std, rtol=rtol, atol=1e-9 * size)
     np.testing.assert_allclose(one.residual, other.residual, atol=1e-9 * np.abs(other.response).max())
     assert one.codes == other.codes
-    assert one.choice is not None and other.choice is not None
+    assert one.choice is not None
+    assert other.choice is not None
     assert (one.choice.lam, one.choice.rule, one.choice.verdict) == (
         other.choice.lam, other.choice.rule, other.choice.verdict
     )  # fmt: skip
@@ -67,14 +68,16 @@ def test_a_history_over_states_and_one_that_only_pushes() -> None:
     given = Deconvolution(model, choice=loadid.Lambda(2e-2, path="statespace")).estimate(record)
     same(over.at(2e-2), given, rtol=1e-4)  # the trace between lambdas of a sweep is interpolated
     pushing = Deconvolution(model, constraints=[NonNegative()]).estimate(record)
-    assert pushing.again is not None and pushing.again.quick is None
+    assert pushing.again is not None
+    assert pushing.again.quick is None
     same(pushing.at(2e-2), Deconvolution(model, constraints=[NonNegative()], choice=2e-2).estimate(record))
 
 
 def test_the_quick_answer_is_that_of_the_whole_one() -> None:
     model, record = history()
     found = Deconvolution(model).estimate(record)
-    assert found.again is not None and found.again.quick is not None
+    assert found.again is not None
+    assert found.again.quick is not None
     for lam in (1e-3, 5e-2):
         quick, whole = found.again.quick(lam), found.at(lam)
         np.testing.assert_array_equal(quick.load, whole.load)

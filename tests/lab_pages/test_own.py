@@ -1,4 +1,4 @@
-"""The page of one's own data: the numbers of the command, any lambda, bad files, and an estimate that explores itself."""
+"""One's own data: the numbers of the command, any lambda, bad files, and an estimate that explores itself."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import pytest
 import loadid
 from loadid import Deconvolution, InputError, SparseDeconvolution, datasets
 from loadid._lab import explore as exploring
-from loadid._lab.desk import Desk
 from loadid._lab.own import LARGEST_LOG, page_of
 from loadid._lab.server import Lab
+from loadid._lab.shown import BINS, Shown, curve
 from loadid.cli import main
 
 from .asked import asked, posted, sent
@@ -116,7 +116,8 @@ def test_at_another_lambda_they_are_those_of_the_command_with_this_lambda(
     assert quick["peak"]["std"] == pytest.approx(found["peaks"][0]["std"], rel=1e-7)
     (tmp_path / "page.h5").write_bytes(asked(lab, "own/save", lam=3e-4)[1])
     own, other = loadid.load(tmp_path / "page.h5"), loadid.load(tmp_path / "load.h5")
-    assert own.choice is not None and own.choice.lam == 3e-4
+    assert own.choice is not None
+    assert own.choice.lam == 3e-4
     np.testing.assert_allclose(own.load, other.load, atol=1e-9 * np.abs(other.load).max())
 
 
@@ -159,11 +160,9 @@ def test_the_log_shows_its_channels_and_their_health(lab: Lab, files: dict[str, 
 
 
 def test_a_long_curve_keeps_its_extremes() -> None:
-    from loadid._lab.desk import BINS, _curve
-
     y = np.random.default_rng(0).standard_normal(20_011)
     y[7], y[19_000] = 40.0, -50.0
-    found = _curve(np.arange(20_011.0), y, y - 1, y + 1)
+    found = curve(np.arange(20_011.0), y, y - 1, y + 1)
     assert len(found["y"]) <= 2 * BINS
     assert (found["y"].max(), found["y"].min()) == (40.0, -50.0)
     assert (found["high"].max(), found["low"].min()) == (41.0, -51.0)
@@ -172,7 +171,9 @@ def test_a_long_curve_keeps_its_extremes() -> None:
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["../../etc/passwd", "a" * 300 + ".h5", "", "nul\x00.h5", "/dev/null", "..", "%00", "☃.csv"])
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd", "a" * 300 + ".h5", "", "nul\x00.h5", "/dev/null", "..", "%00", "☃.csv"]
+)
 def test_absurd_names_lead_nowhere(lab: Lab, name: str) -> None:
     status, found = sent(lab, "own/model", b"no model at all", name)
     assert status == 400
@@ -198,7 +199,9 @@ def test_damaged_models_are_refused_in_a_sentence(lab: Lab, files: dict[str, Pat
     assert sent(lab, "own/model", files["model"])[0] == 200
 
 
-@pytest.mark.parametrize("data", [b"", b"\x00" * 5000, b"a,b\n1,2\n", b"\x89HDF\r\n\x1a\n" + b"\xff" * 900, b"PK\x03\x04" + b"0" * 99])
+@pytest.mark.parametrize(
+    "data", [b"", b"\x00" * 5000, b"a,b\n1,2\n", b"\x89HDF\r\n\x1a\n" + b"\xff" * 900, b"PK\x03\x04" + b"0" * 99]
+)
 def test_damaged_logs_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path], data: bytes) -> None:
     assert sent(lab, "own/model", files["model"])[0] == 200
     for name in ("log.csv", "log.h5", "log.mat", "log.npz", "log.xyz"):
@@ -222,7 +225,9 @@ def test_a_log_needs_a_model_and_a_load_needs_both(lab: Lab, files: dict[str, Pa
     assert asked(lab, "own/picture", lam=0.1, load=0)[0] == 400
 
 
-@pytest.mark.parametrize("more", ["--report page.html", "-o x.h5", "--job x.toml", "--nonsense", "--noise", "'", "--choice x", "x.csv"])
+@pytest.mark.parametrize(
+    "more", ["--report page.html", "-o x.h5", "--job x.toml", "--nonsense", "--noise", "'", "--choice x", "x.csv"]
+)
 def test_words_that_are_no_settings_are_refused(lab: Lab, files: dict[str, Path], more: str) -> None:
     opened(lab, files)
     status, found = asked(lab, "own/identify", **{**PLAIN, "more": more})
@@ -270,19 +275,20 @@ def test_in_a_notebook_no_browser_is_opened(estimate: loadid.LoadEstimate, monke
     assert len(shown) == 1
     monkeypatch.undo()
     assert not exploring.in_notebook()
-    with pytest.raises(InputError, match="port"):
-        with estimate.explore(browser=False) as first:
-            estimate.explore(browser=False, port=int(first.address.split(":")[2].split("/")[0]))
+    with estimate.explore(browser=False) as first, pytest.raises(InputError, match="port"):
+        estimate.explore(browser=False, port=int(first.address.split(":")[2].split("/")[0]))
 
 
-def test_what_an_estimate_does_not_hold_is_said_and_nothing_fails(estimate: loadid.LoadEstimate, tmp_path: Path) -> None:
+def test_what_an_estimate_does_not_hold_is_said_and_nothing_fails(
+    estimate: loadid.LoadEstimate, tmp_path: Path
+) -> None:
     estimate.save(tmp_path / "load.h5")
     hit = datasets.impact()
     sparse = SparseDeconvolution(hit.model, choice=0.05).estimate(
         replace(hit.record, values=hit.record.values[:200].copy())
     )
     for other in (loadid.load(tmp_path / "load.h5"), sparse):
-        desk = Desk(other)
+        desk = Shown(other)
         found = desk.found()
         assert found["lacks"]
         assert found["range"] is None
@@ -290,10 +296,12 @@ def test_what_an_estimate_does_not_hold_is_said_and_nothing_fails(estimate: load
         assert desk.picture(0.0, 0)["peak"]["value"] == pytest.approx(other.peaks[0].value, rel=1e-7)
         with pytest.raises(InputError, match="no problem"):
             desk.at(0.1)
-    assert Desk(loadid.load(tmp_path / "load.h5")).found()["sweep"] is not None  # a file has its L-curve
+    assert Shown(loadid.load(tmp_path / "load.h5")).found()["sweep"] is not None  # a file has its L-curve
 
 
-def test_the_command_opens_a_log_and_a_model(files: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_the_command_opens_a_log_and_a_model(
+    files: dict[str, Path], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     def run(lab: Lab) -> None:
         lab.start()
         try:
