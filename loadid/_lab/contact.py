@@ -16,7 +16,7 @@ from .._inverse.diagnosis.picard import plateau
 from .._inverse.sparse.atoms import DenseAtoms
 from .._inverse.sparse.path import SparsePath
 from ..constraints import NonNegative, Resultant, Support
-from .contract import Call, OneOf, Page, Real, Switch, Whole, rounded
+from .contract import Call, OneOf, Page, Parameter, Real, Switch, Whole, rounded
 from .facts import stated
 from .surface import CELLS, PROFILES, Array, Surface, kernel, x
 
@@ -66,11 +66,12 @@ def solved(
     if method == "l1":
         found = SparsePath(DenseAtoms(kernel(surface.t)[surface.markers]), y).solve(lam)
         return found.x, None, float(np.count_nonzero(found.x))
-    constraints = {
+    known: dict[str, list[Any]] = {
         "nonnegative": [NonNegative()],
         "support": [NonNegative(), Support(surface.contact)],
         "resultant": [Resultant(np.ones((1, CELLS)), [surface.load.sum()], labels=("F",))],
-    }.get(method)
+    }
+    constraints = known.get(method)
     relative = 0.0 if method == "naive" else lam / float(path.scale)
     walked = path if constraints is None else ConstrainedPath(path, constraints, sigma=sigma or 1.0)
     solution = walked.solution(relative, sigma or None)
@@ -106,11 +107,11 @@ def tried(which: int) -> dict[str, Any]:
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
-SURFACE = {
+SURFACE: dict[str, Parameter] = {
     "t": Real(0.02, 0.4), "spacing": Real(0.05, 0.6), "profile": OneOf(tuple(PROFILES)), "every": Whole(1, 4),
     "occluded": Switch(),
 }  # fmt: skip
-DATA = {"method": OneOf(METHODS), "eta": Real(0.0, 0.2), "seed": Whole(0, 10**6)}
+DATA: dict[str, Parameter] = {"method": OneOf(METHODS), "eta": Real(0.0, 0.2), "seed": Whole(0, 10**6)}
 
 
 def _picture(method: str, lam: float, eta: float, seed: int, **surface: Any) -> dict[str, Any]:

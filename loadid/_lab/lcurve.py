@@ -11,7 +11,7 @@ from .._inverse.path import RegularizationPath
 from .._inverse.rules import RULES, gcv_function, run
 from .._inverse.svd import SVDPath
 from .._inverse.sweep import Sweep
-from .contract import Call, Page, Real, Switch, Whole, rounded
+from .contract import Call, Page, Parameter, Real, Switch, Whole, rounded
 from .surface import CELLS, Array, Surface
 
 SURFACE, ETA = Surface(0.1), 0.01
@@ -126,7 +126,7 @@ def dense(path: RegularizationPath) -> SVDPath:
     return path
 
 
-DRAW = {"seed": Whole(0, 10**6), "correlated": Switch()}
+DRAW: dict[str, Parameter] = {"seed": Whole(0, 10**6), "correlated": Switch()}
 page = Page(
     "lcurve", "L-curve and GCV",
     "Two bumps under a layer, one per cent of noise, 150 lambdas from one SVD: where each rule lands, draw after draw.",
