@@ -10,18 +10,12 @@ from typing import Any
 import numpy as np
 
 from .._inverse.choice import choose
-from .._inverse.constrained.path import ConstrainedPath
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.diagnosis.picard import plateau
-from .._inverse.sparse.atoms import DenseAtoms
-from .._inverse.sparse.path import SparsePath
-from ..constraints import NonNegative, Resultant, Support
 from .contract import Call, OneOf, Page, Parameter, Real, Switch, Whole, rounded
 from .facts import stated
-from .surface import CELLS, PROFILES, Array, Surface, kernel, x
+from .surface import CELLS, METHODS, PENALTY, PROFILES, Surface, kernel, solved, x
 
-PENALTY = {"gradient": "gradient", "laplacian": "laplacian"}
-METHODS = ("naive", "identity", "gradient", "laplacian", "tsvd", "nonnegative", "support", "resultant", "l1")
 LEVEL = 1.96  # of the band, in std
 
 
@@ -57,29 +51,6 @@ def picture(surface: Surface, method: str, lam: float, eta: float, seed: int) ->
         "resultant": resultant, "map": map_error, "largest": np.abs(load).max() / true.max(),
         "peak": load.max() / true.max(),
     }, 6)  # fmt: skip
-
-
-def solved(
-    surface: Surface, path: Any, y: Array, method: str, lam: float, sigma: float
-) -> tuple[Array, Array | None, float | None]:
-    """Load (cells,), its std where there is noise, and the effective degrees of freedom."""
-    if method == "l1":
-        found = SparsePath(DenseAtoms(kernel(surface.t)[surface.markers]), y).solve(lam)
-        return found.x, None, float(np.count_nonzero(found.x))
-    known: dict[str, list[Any]] = {
-        "nonnegative": [NonNegative()],
-        "support": [NonNegative(), Support(surface.contact)],
-        "resultant": [Resultant(np.ones((1, CELLS)), [surface.load.sum()], labels=("F",))],
-    }
-    constraints = known.get(method)
-    relative = 0.0 if method == "naive" else lam / float(path.scale)
-    walked = path if constraints is None else ConstrainedPath(path, constraints, sigma=sigma or 1.0)
-    solution = walked.solution(relative, sigma or None)
-    edf = walked.at(relative).edf
-    return (
-        np.asarray(solution.load), None if solution.posterior is None else np.asarray(solution.posterior.std),
-        None if edf is None else float(edf),
-    )  # fmt: skip
 
 
 @lru_cache(256)

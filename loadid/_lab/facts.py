@@ -16,7 +16,7 @@ import numpy as np
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.rules import discrepancy
 from . import lcurve
-from .surface import CELLS, Array, Surface, kernel
+from .surface import CELLS, Array, Surface, kernel, solved
 
 DRAWS, ETA = 200, 0.01
 GRID = np.geomspace(1e-6, 1.0, 301)  # absolute lambdas over which bumps are told apart
@@ -145,7 +145,7 @@ def margin() -> dict[str, Any]:
     found: dict[str, list[float]] = {"half": [], "once": [], "twice": []}
     for seed in range(20):
         sweep = lcurve.sweep(seed, False)
-        best = lcurve.errors(lcurve.dense(sweep.path)).min()
+        best = lcurve.errors(sweep.path).min()
         for name, factor in (("half", 0.5), ("once", 1.0), ("twice", 2.0)):
             lam = discrepancy(sweep, factor).lam
             if lam is not None:
@@ -155,8 +155,6 @@ def margin() -> dict[str, Any]:
 
 def priors() -> dict[str, Any]:
     """Map errors on a flat punch and on a point by three priors, at the best lambda of each (truth known)."""
-    from .contact import solved
-
     found = {}
     for profile in ("punch", "point"):
         surface = Surface(0.1, profile=profile)
