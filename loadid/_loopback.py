@@ -11,6 +11,7 @@ import io
 import logging
 import socket
 import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import BoundedSemaphore
 from typing import Any, ClassVar
@@ -18,6 +19,7 @@ from typing import Any, ClassVar
 from structures.errors import InputError
 
 LOCAL = ("127.0.0.1", "localhost")
+LINGER = 0.5  # s
 CLIENTS = 64  # connections at a time; a browser opens six
 log = logging.getLogger(__name__)
 
@@ -116,10 +118,10 @@ class LoopbackHandler(BaseHTTPRequestHandler):
         super().finish()
         if self._refused:
             self.connection.shutdown(socket.SHUT_WR)
-            self.connection.settimeout(0.2)
-            for _ in range(64):
-                if not self.connection.recv(1 << 16):
-                    break
+            self._patient.until = time.monotonic() + LINGER
+            with suppress(OSError):
+                while self._patient.readinto(bytearray(1 << 16)):
+                    pass
 
     def wait(self, seconds: float) -> None:
         """How long this client may still take to say what it says."""
