@@ -45,7 +45,7 @@ class LoopbackServer(ThreadingHTTPServer):
     request_queue_size = CLIENTS
 
     def __init__(self, port: int, handler: type[LoopbackHandler], *, where: str = "--port") -> None:
-        self._places = BoundedSemaphore(CLIENTS)
+        self._places, self._open = BoundedSemaphore(CLIENTS), set[socket.socket]()
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
@@ -64,10 +64,19 @@ class LoopbackServer(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """The connection, to its end."""
+        self._open.add(request)
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self._open.discard(request)
             self._places.release()
+
+    def server_close(self) -> None:
+        """Answer nobody any more, on connections that are open neither."""
+        super().server_close()
+        for one in list(self._open):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Who asked has left before the answer."""

@@ -36,10 +36,10 @@ def _run(args: Namespace) -> int:
     from .._lab.server import Lab
 
     lab = Lab(pages(), args.port)
-    say(f"the lab is at {lab.address} (Ctrl-C ends it)")
-    if not args.no_browser:
-        _open(lab.address)
     try:
+        say(f"the lab is at {lab.address} (Ctrl-C ends it)")
+        if not args.no_browser:
+            _open(lab.address)
         lab.run()
     except KeyboardInterrupt:
         say("the lab has ended", aside=True)

@@ -214,5 +214,5 @@ def _judged(surface: Surface) -> dict[str, Any]:
 
 
 def _drawn(correlated: bool) -> dict[str, Any]:
-    rows = lcurve.histogram(correlated)["rows"]
+    rows = lcurve.histogram(correlated=correlated)["rows"]
     return {row["rule"]: row["lam"] for row in rows} | {f"x_{row['rule']}": row["ratio"] for row in rows}
