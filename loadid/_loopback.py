@@ -11,6 +11,7 @@ import io
 import logging
 import socket
 import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import BoundedSemaphore
 from typing import Any, ClassVar
@@ -18,6 +19,7 @@ from typing import Any, ClassVar
 from structures.errors import InputError
 
 LOCAL = ("127.0.0.1", "localhost")
+LINGER = 0.5  # s
 CLIENTS = 64  # connections at a time; a browser opens six
 log = logging.getLogger(__name__)
 
@@ -43,7 +45,7 @@ class LoopbackServer(ThreadingHTTPServer):
     request_queue_size = CLIENTS
 
     def __init__(self, port: int, handler: type[LoopbackHandler], *, where: str = "--port") -> None:
-        self._places = BoundedSemaphore(CLIENTS)
+        self._places, self._open = BoundedSemaphore(CLIENTS), set[socket.socket]()
         try:
             super().__init__(("127.0.0.1", port), handler)
         except (OSError, OverflowError) as error:
@@ -62,10 +64,19 @@ class LoopbackServer(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """The connection, to its end."""
+        self._open.add(request)
         try:
             super().process_request_thread(request, client_address)
         finally:
+            self._open.discard(request)
             self._places.release()
+
+    def server_close(self) -> None:
+        """Answer nobody any more, on connections that are open neither."""
+        super().server_close()
+        for one in list(self._open):
+            with suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Who asked has left before the answer."""
@@ -116,10 +127,10 @@ class LoopbackHandler(BaseHTTPRequestHandler):
         super().finish()
         if self._refused:
             self.connection.shutdown(socket.SHUT_WR)
-            self.connection.settimeout(0.2)
-            for _ in range(64):
-                if not self.connection.recv(1 << 16):
-                    break
+            self._patient.until = time.monotonic() + LINGER
+            with suppress(OSError):
+                while self._patient.readinto(bytearray(1 << 16)):
+                    pass
 
     def wait(self, seconds: float) -> None:
         """How long this client may still take to say what it says."""

@@ -48,10 +48,10 @@ def _run(args: Namespace) -> int:
     own = None if args.log is None else _own(args)
     lab = Lab(pages() if own is None else [own if page.name == own.name else page for page in pages()], args.port)
     address = lab.address if own is None else lab.page(own.name)
-    say(f"the lab is at {address} (Ctrl-C ends it)")
-    if not args.no_browser:
-        _open(address)
     try:
+        say(f"the lab is at {address} (Ctrl-C ends it)")
+        if not args.no_browser:
+            _open(address)
         lab.run()
     except KeyboardInterrupt:
         say("the lab has ended", aside=True)

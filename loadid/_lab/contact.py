@@ -10,18 +10,12 @@ from typing import Any
 import numpy as np
 
 from .._inverse.choice import choose
-from .._inverse.constrained.path import ConstrainedPath
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.diagnosis.picard import plateau
-from .._inverse.sparse.atoms import DenseAtoms
-from .._inverse.sparse.path import SparsePath
-from ..constraints import NonNegative, Resultant, Support
-from .contract import Call, OneOf, Page, Real, Switch, Whole, rounded
+from .contract import Call, OneOf, Page, Parameter, Real, Switch, Whole, rounded
 from .facts import stated
-from .surface import CELLS, PROFILES, Array, Surface, kernel, x
+from .surface import CELLS, METHODS, PENALTY, PROFILES, Surface, kernel, solved, x
 
-PENALTY = {"gradient": "gradient", "laplacian": "laplacian"}
-METHODS = ("naive", "identity", "gradient", "laplacian", "tsvd", "nonnegative", "support", "resultant", "l1")
 LEVEL = 1.96  # of the band, in std
 
 
@@ -59,28 +53,6 @@ def picture(surface: Surface, method: str, lam: float, eta: float, seed: int) ->
     }, 6)  # fmt: skip
 
 
-def solved(
-    surface: Surface, path: Any, y: Array, method: str, lam: float, sigma: float
-) -> tuple[Array, Array | None, float | None]:
-    """Load (cells,), its std where there is noise, and the effective degrees of freedom."""
-    if method == "l1":
-        found = SparsePath(DenseAtoms(kernel(surface.t)[surface.markers]), y).solve(lam)
-        return found.x, None, float(np.count_nonzero(found.x))
-    constraints = {
-        "nonnegative": [NonNegative()],
-        "support": [NonNegative(), Support(surface.contact)],
-        "resultant": [Resultant(np.ones((1, CELLS)), [surface.load.sum()], labels=("F",))],
-    }.get(method)
-    relative = 0.0 if method == "naive" else lam / float(path.scale)
-    walked = path if constraints is None else ConstrainedPath(path, constraints, sigma=sigma or 1.0)
-    solution = walked.solution(relative, sigma or None)
-    edf = walked.at(relative).edf
-    return (
-        np.asarray(solution.load), None if solution.posterior is None else np.asarray(solution.posterior.std),
-        None if edf is None else float(edf),
-    )  # fmt: skip
-
-
 @lru_cache(256)
 def chosen(surface: Surface, method: str, eta: float, seed: int) -> dict[str, Any]:
     """What every rule says of the data, without constraints, and how many modes stand out of the noise."""
@@ -106,11 +78,11 @@ def tried(which: int) -> dict[str, Any]:
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
-SURFACE = {
+SURFACE: dict[str, Parameter] = {
     "t": Real(0.02, 0.4), "spacing": Real(0.05, 0.6), "profile": OneOf(tuple(PROFILES)), "every": Whole(1, 4),
     "occluded": Switch(),
 }  # fmt: skip
-DATA = {"method": OneOf(METHODS), "eta": Real(0.0, 0.2), "seed": Whole(0, 10**6)}
+DATA: dict[str, Parameter] = {"method": OneOf(METHODS), "eta": Real(0.0, 0.2), "seed": Whole(0, 10**6)}
 
 
 def _picture(method: str, lam: float, eta: float, seed: int, **surface: Any) -> dict[str, Any]:

@@ -16,12 +16,12 @@ import numpy as np
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.rules import discrepancy
 from . import lcurve
-from .surface import CELLS, Array, Surface, kernel
+from .surface import CELLS, Array, Surface, kernel, solved
 
 DRAWS, ETA = 200, 0.01
-GRID = np.geomspace(1e-6, 1.0, 151)  # absolute lambdas over which bumps are told apart
+GRID = np.geomspace(1e-6, 1.0, 301)  # absolute lambdas over which bumps are told apart
 THICK = (0.05, 0.10, 0.15, 0.20, 0.25, 0.30)
-TALL, VALLEY = 0.5, 0.55  # a peak counts above this share of the largest; the valley lies below this share of the lower
+HALF = 0.5  # of the largest value, above which a peak counts; of the lower peak, below which the valley lies
 
 
 def exact() -> dict[str, float]:
@@ -32,7 +32,7 @@ def exact() -> dict[str, float]:
 
 
 def blown() -> dict[str, float]:
-    """Medians over draws of noise: largest value over the peak, naive and at lambda = 0.01, and the map's error there."""
+    """Medians over draws of noise: largest value over the peak, naive and at lambda = 0.01; the map's error there."""
     surface = Surface(0.1)
     data, peak = _draws(surface), surface.load.max()
     naive, tamed = (_solved(surface, data, lam) for lam in (0.0, 0.01))
@@ -44,30 +44,30 @@ def blown() -> dict[str, float]:
 
 
 def separable() -> dict[str, Any]:
-    """Decades of lambda at which more than half of the draws show two bumps, by thickness.
+    """Decades of lambda at which a draw shows two bumps, median over the draws, by thickness.
 
-    Two bumps: exactly two peaks above `TALL` of the largest, and between them a valley below `VALLEY` of the lower one.
-    Without noise, at lambda = 1e-6 and t = 0.30: their height over the true one.
+    Two bumps: exactly two peaks above half of the largest value, and a valley below half of the lower one. Without
+    noise, at lambda = 1e-6 and t = 0.30: their height over the true one.
     """
     decades = {}
     for t in THICK:
         surface = Surface(t)
         path = surface.path(_draws(surface))
-        told = [np.mean(two_bumps(path.solution(lam / float(path.scale), None).load)) > 0.5 for lam in GRID]
-        decades[f"{t:.2f}"] = float((np.sum(told) - 1) * np.log10(GRID[1] / GRID[0]))
+        told = [two_bumps(path.solution(lam / float(path.scale), None).load) for lam in GRID]
+        decades[f"{t:.2f}"] = float(np.median(np.sum(told, axis=0)) * np.log10(GRID[1] / GRID[0]))
     thick = Surface(THICK[-1])
     clean = _solved(thick, thick.readings(0.0, 0), 1e-6)
     return {**decades, "height": float(clean.max() / thick.load.max()), "two": bool(two_bumps(clean[None])[0]),
-            "valley": VALLEY}  # fmt: skip
+}  # fmt: skip
 
 
 def two_bumps(loads: Array) -> Any:
     """Whether each of some loads (draws, cells) shows two bumps, with a valley about the middle."""
     inner = np.pad(loads, ((0, 0), (1, 1)), constant_values=-np.inf)
-    peaks = (loads > inner[:, :-2]) & (loads >= inner[:, 2:]) & (loads > TALL * loads.max(axis=1, keepdims=True))
+    peaks = (loads > inner[:, :-2]) & (loads >= inner[:, 2:]) & (loads > HALF * loads.max(axis=1, keepdims=True))
     half = CELLS // 2
     lower = np.minimum(loads[:, :half].max(axis=1), loads[:, half:].max(axis=1))
-    return (peaks.sum(axis=1) == 2) & (loads[:, half - 4 : half + 4].min(axis=1) < VALLEY * lower)
+    return (peaks.sum(axis=1) == 2) & (loads[:, half - 4 : half + 4].min(axis=1) < HALF * lower)
 
 
 def seen() -> dict[str, Any]:
@@ -82,7 +82,7 @@ def hidden() -> dict[str, Any]:
 
 def partial() -> dict[str, Any]:
     """Errors without noise at t = 0.10, by lambda, and at t = 0.30 with lambda = 1: resultant R and map M."""
-    found = {}
+    found: dict[str, float] = {}
     for t, lam in ((0.1, 0.003), (0.1, 0.03), (0.1, 0.1), (0.3, 1.0)):
         surface = Surface(t)
         errors = surface.errors(_solved(surface, surface.readings(0.0, 0), lam))
@@ -98,7 +98,7 @@ def sizes() -> dict[str, Any]:
 
 def thickness() -> dict[str, Any]:
     """Modes with a singular value above 1 % of the largest, by thickness; condition numbers at t = 0.05 and 0.10."""
-    found = {}
+    found: dict[str, Any] = {}
     for t in THICK:
         s = Surface(t).path(np.zeros(CELLS)).singular_values
         found |= {f"modes{t:.2f}": int(np.sum(s > 0.01 * s[0])), f"kappa{t:.2f}": s[0] / s[-1]}
@@ -123,7 +123,7 @@ def filters() -> dict[str, Any]:
 
 
 def shortcut() -> dict[str, Any]:
-    """F = K u as naive inversion: noise of 1 % of the largest reading over the load that it makes, rms over the peak."""
+    """The shortcut f = K u: rms load that noise of 1 % of the largest reading makes, over the peak."""
     surface = Surface(0.1)
     path = surface.path(np.zeros(CELLS))
     noise = surface.sigma(ETA) * np.sqrt(np.sum(1 / path.singular_values**2) / CELLS)
@@ -145,7 +145,7 @@ def margin() -> dict[str, Any]:
     found: dict[str, list[float]] = {"half": [], "once": [], "twice": []}
     for seed in range(20):
         sweep = lcurve.sweep(seed, False)
-        best = lcurve.errors(lcurve.dense(sweep.path)).min()
+        best = lcurve.errors(sweep.path).min()
         for name, factor in (("half", 0.5), ("once", 1.0), ("twice", 2.0)):
             lam = discrepancy(sweep, factor).lam
             if lam is not None:
@@ -155,8 +155,6 @@ def margin() -> dict[str, Any]:
 
 def priors() -> dict[str, Any]:
     """Map errors on a flat punch and on a point by three priors, at the best lambda of each (truth known)."""
-    from .contact import solved
-
     found = {}
     for profile in ("punch", "point"):
         surface = Surface(0.1, profile=profile)
@@ -216,5 +214,5 @@ def _judged(surface: Surface) -> dict[str, Any]:
 
 
 def _drawn(correlated: bool) -> dict[str, Any]:
-    rows = lcurve.histogram(correlated)["rows"]
+    rows = lcurve.histogram(correlated=correlated)["rows"]
     return {row["rule"]: row["lam"] for row in rows} | {f"x_{row['rule']}": row["ratio"] for row in rows}

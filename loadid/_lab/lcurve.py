@@ -9,9 +9,8 @@ import numpy as np
 
 from .._inverse.path import RegularizationPath
 from .._inverse.rules import RULES, gcv_function, run
-from .._inverse.svd import SVDPath
 from .._inverse.sweep import Sweep
-from .contract import Call, Page, Real, Switch, Whole, rounded
+from .contract import Call, Page, Parameter, Real, Switch, Whole, rounded
 from .surface import CELLS, Array, Surface
 
 SURFACE, ETA = Surface(0.1), 0.01
@@ -43,13 +42,13 @@ def sweep(seed: int, correlated: bool) -> Sweep:
     return swept(SURFACE.path(readings(seed, correlated)))
 
 
-def swept(path: SVDPath) -> Sweep:
+def swept(path: RegularizationPath) -> Sweep:
     """A path over the grid, with the noise level that was put in."""
     lam = GRID / float(path.scale)
     return Sweep(path, lam, path.at(lam), SURFACE.sigma(ETA))
 
 
-def errors(path: SVDPath) -> Array:
+def errors(path: RegularizationPath) -> Array:
     """Rms error over the peak at every lambda of the grid, (lambdas,) or (lambdas, draws)."""
     scale = float(path.scale)
     return np.array([SURFACE.errors(path.solution(lam / scale, None).load)[1] for lam in GRID])
@@ -60,7 +59,7 @@ def curves(seed: int, correlated: bool) -> dict[str, Any]:
     """What is drawn of one draw: norms, GCV and error over lambda, each in its own range, and every rule's choice."""
     found = sweep(seed, correlated)
     path, point, scale = found.path, found.point, float(found.path.scale)
-    wrong = errors(dense(path))
+    wrong = errors(path)
     told = [run(name, found) for name in RULES]
     asked = [r for r in told if r.lam is not None]
     return rounded({
@@ -120,13 +119,7 @@ def _own_range(values: Array) -> Array:
     return np.asarray((values - low) / (high - low))
 
 
-def dense(path: RegularizationPath) -> SVDPath:
-    """The path of a sweep, which is that of a matrix."""
-    assert isinstance(path, SVDPath)
-    return path
-
-
-DRAW = {"seed": Whole(0, 10**6), "correlated": Switch()}
+DRAW: dict[str, Parameter] = {"seed": Whole(0, 10**6), "correlated": Switch()}
 page = Page(
     "lcurve", "L-curve and GCV",
     "Two bumps under a layer, one per cent of noise, 150 lambdas from one SVD: where each rule lands, draw after draw.",

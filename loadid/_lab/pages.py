@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from .contract import Page
 
 GROUP = "loadid.lab"
-_OWN: tuple[str, ...] = ("contact", "lcurve", "own")
+_OWN: tuple[str, ...] = ("contact", "lcurve", "own", "cards")
 log = logging.getLogger(__name__)
 
 

@@ -145,20 +145,20 @@ class _LabHandler(LoopbackHandler):
             self._require_local()
             work()
         except _Answered as found:
-            self._refused(found.code, found.said)
+            self._told(found.code, found.said)
         except InputError as error:
-            self._refused(400, str(error))
+            self._told(400, str(error))
         except NotIdentifiable as error:
-            self._refused(422, str(error))
+            self._told(422, str(error))
         except TimeoutError:
-            self._refused(408, "the request took too long to arrive")
+            self._told(408, "the request took too long to arrive")
         except OSError:
             raise  # who asked has left
         except Exception as error:  # a fault of a page must end neither the server nor its page
             log.debug("fault in %s", self.path, exc_info=True)
-            self._refused(500, f"this is a fault of the lab ({type(error).__name__}), please report it")
+            self._told(500, f"this is a fault of the lab ({type(error).__name__}), please report it")
 
-    def _refused(self, code: int, said: str) -> None:
+    def _told(self, code: int, said: str) -> None:
         if self.command == "POST":
             self.say(code, JSON, _strict({"error": said}))
         else:

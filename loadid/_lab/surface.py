@@ -9,13 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._inverse.constrained.path import ConstrainedPath
 from .._inverse.penalties import difference
 from .._inverse.problem import LinearProblem
+from .._inverse.sparse.atoms import DenseAtoms
+from .._inverse.sparse.path import SparsePath
 from .._inverse.svd import SVDPath
+from ..constraints import NonNegative, Resultant, Support
 
 CELLS = 48
 WIDE = 0.03  # std of a fingertip
@@ -38,6 +43,9 @@ PROFILES: dict[str, Callable[[float], Array]] = {
     "point": lambda spacing: np.where(np.arange(CELLS) == CELLS // 2, 1.0, 0.0),
 }
 ORDERS = {"identity": 0, "gradient": 1, "laplacian": 2}
+
+PENALTY = {"gradient": "gradient", "laplacian": "laplacian"}
+METHODS = ("naive", "identity", "gradient", "laplacian", "tsvd", "nonnegative", "support", "resultant", "l1")
 
 
 @dataclass(frozen=True)
@@ -99,6 +107,29 @@ class Surface:
         true = self.load
         resultant = np.abs(load.sum(axis=-1) - true.sum()) / true.sum()
         return np.asarray(resultant), np.asarray(np.sqrt(np.mean((load - true) ** 2, axis=-1)) / true.max())
+
+
+def solved(
+    surface: Surface, path: SVDPath, y: Array, method: str, lam: float, sigma: float
+) -> tuple[Array, Array | None, float | None]:
+    """Load (cells,), its std where there is noise, and the effective degrees of freedom."""
+    if method == "l1":
+        found = SparsePath(DenseAtoms(kernel(surface.t)[surface.markers]), y).solve(lam)
+        return found.x, None, float(np.count_nonzero(found.x))
+    known: dict[str, list[Any]] = {
+        "nonnegative": [NonNegative()],
+        "support": [NonNegative(), Support(surface.contact)],
+        "resultant": [Resultant(np.ones((1, CELLS)), [surface.load.sum()], labels=("F",))],
+    }
+    constraints = known.get(method)
+    relative = 0.0 if method == "naive" else lam / float(path.scale)
+    walked = path if constraints is None else ConstrainedPath(path, constraints, sigma=sigma or 1.0)
+    solution = walked.solution(relative, sigma or None)
+    edf = walked.at(relative).edf
+    return (
+        np.asarray(solution.load), None if solution.posterior is None else np.asarray(solution.posterior.std),
+        None if edf is None else float(edf),
+    )  # fmt: skip
 
 
 @lru_cache(64)

@@ -72,7 +72,9 @@ export const written = (value, digits = 3) => {
 };
 export const percent = (value, digits = 1) => value === null ? "–" : `${written(100 * value, digits + 2)} %`;
 
+// what a control stands for; a slider that was set keeps the value, between its steps, until it is moved
 const valueOf = input => input.type === "checkbox" ? input.checked
+  : input.dataset.exact !== undefined ? Number(input.dataset.exact)
   : input.type !== "range" ? input.value : input.dataset.log === undefined ? Number(input.value)
   : Number((10 ** Number(input.value)).toPrecision(6));
 
@@ -94,12 +96,13 @@ export const controls = (form, changed) => {
       if (input.type === "checkbox") input.checked = value;
       else if (input.type === "radio") input.checked = input.value === String(value);
       else input.value = input.dataset.log === undefined ? value : Math.log10(value);
+      if (input.type === "range") input.dataset.exact = value;
       tell(input);
     }
   };
   inputs.forEach(tell);
   form.addEventListener("submit", event => event.preventDefault());
-  form.addEventListener("input", event => { tell(event.target); changed(values(), event.target.name); });
+  form.addEventListener("input", event => { delete event.target.dataset.exact; tell(event.target); changed(values(), event.target.name); });
   return { values, set };
 };
 
@@ -141,6 +144,7 @@ const ticks = (low, high, log, most) => {
 export const SHAPES = {
   circle: "M5 0A5 5 0 1 1-5 0A5 5 0 1 1 5 0Z", square: "M-4.5-4.5H4.5V4.5H-4.5Z", triangle: "M0-6L5.5 4.5H-5.5Z",
   diamond: "M0-6.5L5 0L0 6.5L-5 0Z", down: "M0 6L5.5-4.5H-5.5Z", plus: "M-6 0H6M0-6V6", cross: "M-4.5-4.5L4.5 4.5M-4.5 4.5L4.5-4.5",
+  target: "M5 0A5 5 0 1 1-5 0A5 5 0 1 1 5 0ZM-8 0H8M0-8V8",
   star: "M0-7L1.8-2.2L7-2.2L2.8 1L4.4 6L0 3L-4.4 6L-2.8 1L-7-2.2L-1.8-2.2Z",
 };
 const node = (name, given = {}, ...inner) => {
