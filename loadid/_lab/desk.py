@@ -17,7 +17,6 @@ import numpy as np
 
 from structures.errors import InputError
 
-from .contract import rounded
 from .shown import Shown, curve, flags_of
 
 if TYPE_CHECKING:
@@ -205,7 +204,8 @@ def _log(log: Any, name: str) -> dict[str, Any] | None:
     told = describe(log)
     t = np.arange(len(log.values)) * log.dt
     curves = [
-        {"label": c.label, "unit": c.unit, **curve(t, v)} for c, v in zip(log.channels, log.values.T, strict=True)
+        {"label": c.label, "unit": c.unit, **curve(t, v, digits=5)}
+        for c, v in zip(log.channels, log.values.T, strict=True)
     ]
     channels = [
         {key: one[key] for key in ("label", "unit", "recorded_unit", "quantity", "min", "max", "rms", "offset", "noise",
@@ -214,5 +214,5 @@ def _log(log: Any, name: str) -> dict[str, Any] | None:
     ]  # fmt: skip
     return {
         "name": name, "samples": told["samples"], "dt": told["dt"], "fs": told["fs"], "channels": channels,
-        "notes": told["notes"], "flags": told["flags"], "curves": rounded(curves, 5),
+        "notes": told["notes"], "flags": told["flags"], "curves": curves,
     }  # fmt: skip

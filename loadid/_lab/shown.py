@@ -89,8 +89,8 @@ class Shown:
         point = None if not lam or e.again is None else _point(e, lam)
         peak = {"value": _plain(values[i]), "std": float(std[i]), "at": None if e.axis is None else float(x[i]),
                 "index": i}  # fmt: skip
-        found: dict[str, Any] = rounded({"lam": lam, "peak": peak, "point": point, **curve(x, values, low, high)}, 8)
-        return found
+        told: dict[str, Any] = rounded({"lam": lam, "peak": peak, "point": point}, 8)
+        return told | curve(x, values, low, high)
 
 
 # -- what is said -----------------------------------------------------------------------------------------------------
@@ -209,20 +209,37 @@ def _plain(value: Any) -> float:
     return float(np.abs(value) if np.iscomplexobj(value) else value)
 
 
-def curve(x: Array, y: Array, *ends: Array) -> dict[str, Array]:
+def curve(x: Array, y: Array, *ends: Array, digits: int = 6) -> dict[str, Array]:
     """A curve, with its band where it has one; of a long one the lowest and the highest value of every bin."""
-    names = ("low", "high")
+    names = ("x", "y", "low", "high")
     if len(y) <= 2 * BINS:
-        return {"x": x, "y": y, **dict(zip(names, ends, strict=False))}
+        return {name: shortened(one, digits) for name, one in zip(names, (x, y, *ends), strict=False)}
     width = -(-len(y) // BINS)
+
+    def binned(values: Array, nothing: float) -> Array:
+        """Rows of a bin each, the last filled up."""
+        filled = np.full(-(-len(values) // width) * width, nothing)
+        filled[: len(values)] = np.where(np.isnan(values), nothing, values)
+        return filled.reshape(-1, width)
+
+    low, high = binned(y, np.inf), binned(y, -np.inf)
+    first, last = low.argmin(axis=1), high.argmax(axis=1)
+    both = np.column_stack([low.min(axis=1), high.max(axis=1)])
+    both = np.where((first <= last)[:, None], both, both[:, ::-1]).ravel()
     starts = np.arange(0, len(y), width)
-    least, most = (f.reduceat(np.where(np.isnan(y), z, y), starts) for f, z in ((np.fmin, np.inf), (np.fmax, -np.inf)))
-    first = np.array([int(np.nanargmin(y[s : s + width])) <= int(np.nanargmax(y[s : s + width]))
-                      if np.isfinite(y[s : s + width]).any() else True for s in starts])  # fmt: skip
-    pairs = np.where(first[:, None], np.column_stack([least, most]), np.column_stack([most, least])).ravel()
-    middle = np.column_stack([x[starts], x[np.minimum(starts + width // 2, len(x) - 1)]]).ravel()
-    found = {"x": middle, "y": np.where(np.isfinite(pairs), pairs, np.nan)}
+    at = np.column_stack([starts, np.minimum(starts + width // 2, len(y) - 1)]).ravel()
+    found = {"x": x[at], "y": np.where(np.isfinite(both), both, np.nan)}
     if ends:
-        found["low"], found["high"] = (np.repeat(f.reduceat(e, starts), 2)
-                                       for f, e in zip((np.fmin, np.fmax), ends, strict=True))  # fmt: skip
-    return found
+        found["low"] = np.repeat(binned(ends[0], np.inf).min(axis=1), 2)
+        found["high"] = np.repeat(binned(ends[1], -np.inf).max(axis=1), 2)
+    return {name: shortened(one, digits) for name, one in found.items()}
+
+
+def shortened(values: Array, digits: int) -> Array:
+    """Values to some significant digits: a third of the bytes, in a thousandth of the time that texts take."""
+    values = np.asarray(values, float)
+    size = np.abs(values)
+    some = np.isfinite(values) & (size > 0)
+    power = digits - 1 - np.floor(np.log10(size, where=some, out=np.zeros(values.shape)))
+    up, down = (10.0 ** np.clip(sign * power, 0, 300) for sign in (1, -1))
+    return np.where(some, np.rint(values * up / down) / up * down, values)

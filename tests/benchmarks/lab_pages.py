@@ -1,7 +1,7 @@
 """How fast the gel pad and an estimate that explores itself answer in a browser, and what they send.
 
-``python -m tests.benchmarks.lab_pages``: the table of `tests.benchmarks.lab` for the switches' slider of the gel pad and
-for lambda of the hit of ``loadid demo`` (6000 samples over states) and of `loadid.datasets.impact` (400, dense); then the
+``python -m tests.benchmarks.lab_pages``: the table of `tests.benchmarks.lab` for the noise of the gel pad, and
+for lambda of the hit of ``loadid demo`` (6000 samples) and of `loadid.datasets.impact` (400), both over states; then
 CPU ms of the answer alone, without HTTP and browser.
 """
 

@@ -18,7 +18,7 @@ from loadid import Deconvolution, InputError, SparseDeconvolution, datasets
 from loadid._lab import explore as exploring
 from loadid._lab.own import LARGEST_LOG, page_of
 from loadid._lab.server import Lab
-from loadid._lab.shown import BINS, Shown, curve
+from loadid._lab.shown import BINS, Shown, curve, shortened
 from loadid.cli import main
 
 from .asked import asked, posted, sent
@@ -168,6 +168,15 @@ def test_a_long_curve_keeps_its_extremes() -> None:
     assert (found["high"].max(), found["low"].min()) == (41.0, -51.0)
     assert np.all(found["low"] <= found["y"])
     assert np.all(found["high"] >= found["y"])
+    assert np.all(np.diff(found["x"]) > 0)
+
+
+def test_shortened_numbers_are_those_that_a_text_has() -> None:
+    values = np.concatenate([np.random.default_rng(0).standard_normal(300) * 10.0 ** np.arange(-150, 150), [0.0, 7.0]])
+    assert shortened(values, 5).tolist() == pytest.approx([float(f"{v:.5g}") for v in values], rel=1e-13)
+    odd = shortened(np.array([np.nan, np.inf, -np.inf, 5e-324]), 3)
+    assert np.isnan(odd[0])
+    assert odd[1:3].tolist() == [np.inf, -np.inf]
 
 
 # -- bad input --------------------------------------------------------------------------------------------------------
