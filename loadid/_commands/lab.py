@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 
-from . import Command, say
+from . import Command, emit, say
 
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")  # one is set where a browser has a place to open
 EXAMPLES = """\
 examples:
   open the lab in the browser; Ctrl-C ends it:
@@ -37,7 +40,8 @@ def _run(args: Namespace) -> int:
 
     lab = Lab(pages(), args.port)
     try:
-        say(f"the lab is at {lab.address} (Ctrl-C ends it)")
+        emit(args, {"address": lab.address}, f"the lab is at {lab.address} (Ctrl-C ends it)")
+        sys.stdout.flush()
         if not args.no_browser:
             _open(lab.address)
         lab.run()
@@ -49,11 +53,12 @@ def _run(args: Namespace) -> int:
 
 
 def _open(address: str) -> None:
-    """Show the address in a browser, where there is one."""
+    """Show the address in a browser, where there is one; one that would take the terminal is none."""
     import webbrowser
 
+    screen = sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in SCREENS)
     try:
-        shown = webbrowser.open(address)
+        shown = screen and webbrowser.open(address)
     except (webbrowser.Error, OSError):
         shown = False
     if not shown:

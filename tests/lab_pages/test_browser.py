@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -261,18 +258,3 @@ def test_without_javascript_the_page_says_what_it_needs(lab: Lab, browser: Any) 
     page.goto(lab.page("contact"))
     assert "need JavaScript" in page.inner_text("noscript")
     context.close()
-
-
-# -- the command -------------------------------------------------------------------------------------------------------
-def test_the_command_prints_one_line_and_ends_by_an_interrupt() -> None:
-    code = "import sys; from loadid.cli import main; sys.exit(main(['lab', '--no-browser']))"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
-        assert run.stdout is not None
-        line = run.stdout.readline()
-        address = re.fullmatch(r"the lab is at (http://127\.0\.0\.1:\d+/\?token=\S+) \(Ctrl-C ends it\)\n", line)
-        assert address, line
-        run.send_signal(signal.SIGINT)
-        out, err = run.communicate(timeout=20)
-    assert (run.returncode, out, err) == (0, "", "the lab has ended\n")
