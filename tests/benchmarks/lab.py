@@ -1,6 +1,6 @@
 """How fast the lab answers in a browser, what it sends, and whether random bodies ever get through.
 
-``python -m tests.benchmarks.lab``: the time from the start of the command to its address, for each page the first paint,
+``python -m tests.benchmarks.lab``: time from the start of the command to its address; for each page first paint,
 until it can be used, from the input of a slider to the next frame after the new numbers are drawn (p50, p95 of 30), and
 kB over the wire, once open and with 30 moves of its first slider. ``python -m tests.benchmarks.lab fuzz [COUNT]``:
 random bodies (10 000) for every call.
