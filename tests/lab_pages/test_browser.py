@@ -105,6 +105,7 @@ def visit(lab: Lab, browser: Any) -> Iterator[Callable[..., Visit]]:
 def test_a_page_fits_a_phone_and_the_dark(visit: Callable[..., Visit], name: str) -> None:
     found = visit(name, viewport={"width": 320, "height": 640}, color_scheme="dark", reduced_motion="reduce")
     assert found.page.evaluate("document.documentElement.scrollWidth") <= 320
+    assert found.page.locator("#old").count() == 0
     ink, paper = found.page.evaluate(
         "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
     )
@@ -257,4 +258,14 @@ def test_without_javascript_the_page_says_what_it_needs(lab: Lab, browser: Any) 
     page = context.new_page()
     page.goto(lab.page("contact"))
     assert "need JavaScript" in page.inner_text("noscript")
+    context.close()
+
+
+def test_a_browser_that_cannot_run_the_script_is_told_so(lab: Lab, browser: Any) -> None:
+    context = browser.new_context(reduced_motion="reduce")
+    page = context.new_page()
+    page.route("**/lab.js", lambda route: route.abort())
+    page.goto(lab.page("contact"))
+    page.wait_for_selector("#old", state="visible", timeout=20_000)
+    assert "2021 or later" in page.inner_text("#old")
     context.close()

@@ -3,6 +3,7 @@
 
 const token = document.querySelector("meta[name=lab-token]").content;
 const page = document.body.dataset.page;
+document.getElementById("old")?.remove();
 const SVG = "http://www.w3.org/2000/svg";
 
 // -- calls ------------------------------------------------------------------------------------------------------------
