@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from argparse import ArgumentParser, ArgumentTypeError, Namespace, RawDescriptionHelpFormatter
 from typing import TYPE_CHECKING
 
-from . import Command, UsageError, add_log_options, one_record, say, settings
+from . import Command, UsageError, add_log_options, emit, one_record, say, settings
 
 if TYPE_CHECKING:
     from .._lab.contract import Page
 
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")  # one is set where a browser has a place to open
 EXAMPLES = """\
 examples:
   open the lab in the browser; Ctrl-C ends it:
@@ -49,7 +52,8 @@ def _run(args: Namespace) -> int:
     lab = Lab(pages() if own is None else [own if page.name == own.name else page for page in pages()], args.port)
     address = lab.address if own is None else lab.page(own.name)
     try:
-        say(f"the lab is at {address} (Ctrl-C ends it)")
+        emit(args, {"address": address}, f"the lab is at {address} (Ctrl-C ends it)")
+        sys.stdout.flush()
         if not args.no_browser:
             _open(address)
         lab.run()
@@ -74,11 +78,12 @@ def _own(args: Namespace) -> Page:
 
 
 def _open(address: str) -> None:
-    """Show the address in a browser, where there is one."""
+    """Show the address in a browser, where there is one; one that would take the terminal is none."""
     import webbrowser
 
+    screen = sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in SCREENS)
     try:
-        shown = webbrowser.open(address)
+        shown = screen and webbrowser.open(address)
     except (webbrowser.Error, OSError):
         shown = False
     if not shown:

@@ -24,6 +24,7 @@ from ..constraints import NonNegative, Resultant, Support
 
 CELLS = 48
 WIDE = 0.03  # std of a fingertip
+ROUNDING = 1e-12
 CONTACT = 0.1  # share of the peak above which a cell is in contact
 Array = NDArray[np.float64]
 
@@ -90,8 +91,8 @@ class Surface:
         return np.setdiff1d(all_of, self.contact) if self.occluded else all_of
 
     def sigma(self, eta: float) -> float:
-        """Std of noise that is a share `eta` of the largest reading of all cells."""
-        return eta * float(np.max(kernel(self.t) @ self.load))
+        """Std of noise that is a share `eta` of the largest reading of all cells; none where it would be rounding."""
+        return eta * float(np.max(kernel(self.t) @ self.load)) if eta > ROUNDING else 0.0
 
     def readings(self, sigma: float, seed: int) -> Array:
         """What the markers read, (markers,); all layouts of a surface share the noise of their cells."""

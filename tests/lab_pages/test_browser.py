@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -108,6 +105,7 @@ def visit(lab: Lab, browser: Any) -> Iterator[Callable[..., Visit]]:
 def test_a_page_fits_a_phone_and_the_dark(visit: Callable[..., Visit], name: str) -> None:
     found = visit(name, viewport={"width": 320, "height": 640}, color_scheme="dark", reduced_motion="reduce")
     assert found.page.evaluate("document.documentElement.scrollWidth") <= 320
+    assert found.page.locator("#old").count() == 0
     ink, paper = found.page.evaluate(
         "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
     )
@@ -263,16 +261,11 @@ def test_without_javascript_the_page_says_what_it_needs(lab: Lab, browser: Any) 
     context.close()
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
-def test_the_command_prints_one_line_and_ends_by_an_interrupt() -> None:
-    code = "import sys; from loadid.cli import main; sys.exit(main(['lab', '--no-browser']))"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
-        assert run.stdout is not None
-        line = run.stdout.readline()
-        address = re.fullmatch(r"the lab is at (http://127\.0\.0\.1:\d+/\?token=\S+) \(Ctrl-C ends it\)\n", line)
-        assert address, line
-        run.send_signal(signal.SIGINT)
-        out, err = run.communicate(timeout=20)
-    assert (run.returncode, out, err) == (0, "", "the lab has ended\n")
+def test_a_browser_that_cannot_run_the_script_is_told_so(lab: Lab, browser: Any) -> None:
+    context = browser.new_context(reduced_motion="reduce")
+    page = context.new_page()
+    page.route("**/lab.js", lambda route: route.abort())
+    page.goto(lab.page("contact"))
+    page.wait_for_selector("#old", state="visible", timeout=20_000)
+    assert "2021 or later" in page.inner_text("#old")
+    context.close()

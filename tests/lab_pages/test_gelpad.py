@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,6 +102,21 @@ def test_correlation_that_is_ignored_gives_another_band_and_a_lambda_too_small()
     assert told()[3]["interpolate"]["held"] == 0.95
     assert told(ignored=True)[3]["interpolate"]["held"] > 0.96
     assert told()[3]["interpolate"]["effective"] < 0.6 * told()[3]["interpolate"]["inside"]
+
+
+def test_the_table_of_the_documentation_is_what_comes_out() -> None:
+    noisy = {"noise": 30.0}
+    steps = [{"vanish": True}, {"naive": True}, {"uncorrected": True}, {"wrong": True}, noisy, {**noisy, "ridge": True},
+             {**noisy, "ridge": True, "ignored": True}]  # fmt: skip
+    text = (Path(__file__).parents[2] / "docs" / "lab.md").read_text("utf-8").split("## The gel pad")[1]
+    rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| ") and "%" in line]
+    assert len(rows) == len(steps)
+    for given, (_, resultant, field, said) in zip(steps, rows, strict=True):
+        found = told(**given)
+        assert float(resultant.replace("%", "")) == pytest.approx(100 * found[0], abs=0.8)
+        assert float(field.replace("%", "")) == pytest.approx(100 * found[1], abs=0.8)
+        for code in re.findall(r"[EW]\d{3}", said):
+            assert code in found[2] or ("inversion" in said and code in told(**given, ridge=True)[2])
 
 
 def test_a_switch_is_answered_at_once_and_again_faster() -> None:

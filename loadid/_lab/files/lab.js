@@ -3,13 +3,16 @@
 
 const token = document.querySelector("meta[name=lab-token]").content;
 const page = document.body.dataset.page;
+document.getElementById("old")?.remove();
 const SVG = "http://www.w3.org/2000/svg";
 
 // -- calls ------------------------------------------------------------------------------------------------------------
-const fault = text => {
+const faults = new Map();  // of each kind of work, until it succeeds
+const fault = (work, text) => {
   const place = document.getElementById("fault");
-  place.textContent = text;
-  place.hidden = !text;
+  faults.set(work, text);
+  place.textContent = [...new Set(faults.values())].join(" ").trim();
+  place.hidden = !place.textContent;
 };
 
 const answered = async (address, options) => {
@@ -54,7 +57,7 @@ export const latest = work => {
     while (waiting) {
       const now = waiting;
       waiting = null;
-      try { await work(...now); fault(""); } catch (error) { fault(error.message); }
+      try { await work(...now); fault(work, ""); } catch (error) { fault(work, error.message); }
       document.documentElement.dataset.drawn = ++drawn;
     }
     running = false;
