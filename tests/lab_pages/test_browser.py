@@ -149,7 +149,7 @@ def test_a_session_stays_below_300_kb(visit: Callable[..., Visit]) -> None:
 def test_the_contact_page_by_keyboard(visit: Callable[..., Visit]) -> None:
     found = visit("contact")
     page, reached = found.page, []
-    for _ in range(20):
+    for _ in range(30):
         page.keyboard.press("Tab")
         reached.append(page.evaluate("document.activeElement.id || document.activeElement.textContent.trim()"))
         if page.evaluate("document.activeElement.dataset.which") == "5":

@@ -98,5 +98,5 @@ def test_pages_of_other_packages_are_found_and_a_broken_one_is_left_out(monkeypa
               EntryPoint("broken", "tests.lab_pages.nothing:page", found.GROUP)]  # fmt: skip
     monkeypatch.setattr(found, "entry_points", lambda group: points if group == found.GROUP else [])
     names = [page.name for page in found.pages()]
-    assert names == ["contact", "lcurve", "cards", "echo"]
+    assert names == ["contact", "lcurve", "own", "cards", "echo"]
     assert "'broken'" in caplog.text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tempfile
 from collections.abc import Iterator
@@ -218,6 +219,32 @@ def test_damaged_logs_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path]
         assert status == 400, name
         assert "Traceback" not in found["error"]
     assert asked(lab, "own/state")[1]["log"] is None
+
+
+def test_odd_values_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path]) -> None:
+    opened(lab, files)
+    assert asked(lab, "own/identify", **PLAIN)[0] == 200
+    right = {
+        "own/picture": {"lam": 0.01, "load": 0},
+        "own/at": {"lam": 0.01},
+        "own/save": {"lam": 0.01},
+        "own/found": {},
+    }
+    for path, given in right.items():
+        assert asked(lab, path, **given)[0] == 200
+        for name in given:
+            for odd in (math.nan, -1, "0.01", None, True, [], {}, 1e300, "\x00"):
+                status, found = asked(lab, path, **{**given, name: odd})
+                assert status == 400, (path, name, odd)
+                assert "Traceback" not in found["error"]
+        assert asked(lab, path, **given, more=1)[0] == 400
+    assert asked(lab, "own/at", lam=0.0)[0] == 400
+    for name in PLAIN:
+        for odd in ("\x1b[2J", "a" * 2000, None, 7, "--" * 40, "; rm -rf /", "$(id)", "☃"):
+            status, found = asked(lab, "own/identify", **{**PLAIN, name: odd})
+            assert status in (400, 422), (name, odd)
+            assert "Traceback" not in found["error"]
+    assert asked(lab, "own/picture", lam=0.0, load=0)[0] == 200  # the estimate is still there
 
 
 def test_what_is_too_large_is_not_read(lab: Lab) -> None:

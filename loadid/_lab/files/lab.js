@@ -150,7 +150,7 @@ export const SHAPES = {
   target: "M5 0A5 5 0 1 1-5 0A5 5 0 1 1 5 0ZM-8 0H8M0-8V8",
   star: "M0-7L1.8-2.2L7-2.2L2.8 1L4.4 6L0 3L-4.4 6L-2.8 1L-7-2.2L-1.8-2.2Z",
 };
-const node = (name, given = {}, ...inner) => {
+export const node = (name, given = {}, ...inner) => {
   const one = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(given)) one.setAttribute(key, value);
   one.append(...inner);
