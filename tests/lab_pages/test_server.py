@@ -9,6 +9,7 @@ import re
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -351,7 +352,8 @@ def test_random_bodies_are_refused_or_right() -> None:
     """A slice of `python -m tests.benchmarks.lab fuzz`, which sends 10 000."""
     with Lab(pages()) as lab:
         connection = http.client.HTTPConnection("127.0.0.1", lab.http.server_address[1], timeout=60)
-        codes = [accepted(lab, connection, *one) for one in bodies(lab, 400, seed=1)]
+        with closing(connection):
+            codes = [accepted(lab, connection, *one) for one in bodies(lab, 400, seed=1)]
         assert set(codes) <= {200, 400, 422}
         assert 10 < codes.count(200) < 200
         assert called(lab, "/cards/cards", {})["cards"]
