@@ -12,19 +12,19 @@ import numpy as np
 from .._inverse.choice import choose
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.diagnosis.picard import plateau
-from .contract import Call, OneOf, Page, Parameter, Real, Switch, Whole, rounded
+from .contract import Call, OneOf, OnOff, Page, Parameter, Real, Whole, rounded
 from .facts import stated
-from .surface import CELLS, METHODS, PENALTY, PROFILES, Surface, kernel, solved, x
+from .surface import CELLS, METHODS, PENALTY, PROFILES, PressedLayer, kernel, solved, x
 
 LEVEL = 1.96  # of the band, in std
 
 
-def picture(surface: Surface, method: str, lam: float, eta: float, seed: int) -> dict[str, Any]:
+def picture(surface: PressedLayer, method: str, lam: float, eta: float, seed: int) -> dict[str, Any]:
     """Everything that is drawn and read off at one lambda.
 
     Parameters
     ----------
-    surface : Surface
+    surface : PressedLayer
     method : str
         One of `METHODS`.
     lam : float
@@ -54,7 +54,7 @@ def picture(surface: Surface, method: str, lam: float, eta: float, seed: int) ->
 
 
 @lru_cache(256)
-def chosen(surface: Surface, method: str, eta: float, seed: int) -> dict[str, Any]:
+def chosen(surface: PressedLayer, method: str, eta: float, seed: int) -> dict[str, Any]:
     """What every rule says of the data, without constraints, and how many modes stand out of the noise."""
     sigma = surface.sigma(eta)
     path = surface.path(surface.readings(sigma, seed), PENALTY.get(method, "identity"), truncated=method == "tsvd")
@@ -80,17 +80,17 @@ def tried(which: int) -> dict[str, Any]:
 # -- the page ----------------------------------------------------------------------------------------------------------
 SURFACE: dict[str, Parameter] = {
     "t": Real(0.02, 0.4), "spacing": Real(0.05, 0.6), "profile": OneOf(tuple(PROFILES)), "every": Whole(1, 4),
-    "occluded": Switch(),
+    "occluded": OnOff(),
 }  # fmt: skip
 DATA: dict[str, Parameter] = {"method": OneOf(METHODS), "eta": Real(0.0, 0.2), "seed": Whole(0, 10**6)}
 
 
 def _picture(method: str, lam: float, eta: float, seed: int, **surface: Any) -> dict[str, Any]:
-    return picture(Surface(**surface), method, lam, eta, seed)
+    return picture(PressedLayer(**surface), method, lam, eta, seed)
 
 
 def _rules(method: str, eta: float, seed: int, **surface: Any) -> dict[str, Any]:
-    return chosen(Surface(**surface), method, eta, seed)
+    return chosen(PressedLayer(**surface), method, eta, seed)
 
 
 page = Page(

@@ -88,7 +88,7 @@ class OneOf:
 
 
 @dataclass(frozen=True)
-class Switch:
+class OnOff:
     """True or false."""
 
     def read(self, name: str, value: Any) -> bool:
@@ -125,7 +125,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Vector:
+class Reals:
     """A list of `least` to `most` finite numbers, each from `low` to `high`."""
 
     low: float
@@ -176,7 +176,7 @@ class Call:
         Gets every parameter by its name, and returns what JSON can say (arrays among it, NaN becomes null), or a
         `Download`. An InputError or a NotIdentifiable of it is told to the browser in words. With an `upload` it gets
         the file too, as ``upload=Path``; the file is gone when it has answered.
-    parameters : mapping of name to Real, Whole, OneOf, Switch, Text or Vector
+    parameters : mapping of name to Real, Whole, OneOf, OnOff, Text or Reals
         All of them must be given, and no others.
     upload : int
         Bytes that a file may have, which is sent in place of a body; 0 takes none.

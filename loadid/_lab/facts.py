@@ -16,7 +16,7 @@ import numpy as np
 from .._inverse.diagnosis.identifiability import layout
 from .._inverse.rules import discrepancy
 from . import lcurve
-from .surface import CELLS, Array, Surface, kernel, solved
+from .surface import CELLS, Array, PressedLayer, kernel, solved
 
 DRAWS, ETA = 200, 0.01
 GRID = np.geomspace(1e-6, 1.0, 301)  # absolute lambdas over which bumps are told apart
@@ -26,14 +26,14 @@ HALF = 0.5  # of the largest value, above which a peak counts; of the lower peak
 
 def exact() -> dict[str, float]:
     """Exact readings of every cell, naively inverted: largest error over the peak."""
-    surface = Surface(0.1)
+    surface = PressedLayer(0.1)
     load = _solved(surface, surface.readings(0.0, 0), 0.0)
     return {"error": float(np.abs(load - surface.load).max() / surface.load.max())}
 
 
 def blown() -> dict[str, float]:
     """Medians over draws of noise: largest value over the peak, naive and at lambda = 0.01; the map's error there."""
-    surface = Surface(0.1)
+    surface = PressedLayer(0.1)
     data, peak = _draws(surface), surface.load.max()
     naive, tamed = (_solved(surface, data, lam) for lam in (0.0, 0.01))
     return {
@@ -51,11 +51,11 @@ def separable() -> dict[str, Any]:
     """
     decades = {}
     for t in THICK:
-        surface = Surface(t)
+        surface = PressedLayer(t)
         path = surface.path(_draws(surface))
         told = [two_bumps(path.solution(lam / float(path.scale), None).load) for lam in GRID]
         decades[f"{t:.2f}"] = float(np.median(np.sum(told, axis=0)) * np.log10(GRID[1] / GRID[0]))
-    thick = Surface(THICK[-1])
+    thick = PressedLayer(THICK[-1])
     clean = _solved(thick, thick.readings(0.0, 0), 1e-6)
     return {**decades, "height": float(clean.max() / thick.load.max()), "two": bool(two_bumps(clean[None])[0]),
 }  # fmt: skip
@@ -72,19 +72,19 @@ def two_bumps(loads: Array) -> Any:
 
 def seen() -> dict[str, Any]:
     """All markers: medians over draws of both errors at lambda = 1e-3, and what the readings hold."""
-    return _judged(Surface(0.1))
+    return _judged(PressedLayer(0.1))
 
 
 def hidden() -> dict[str, Any]:
     """The same without the markers under the contact."""
-    return _judged(Surface(0.1, occluded=True))
+    return _judged(PressedLayer(0.1, occluded=True))
 
 
 def partial() -> dict[str, Any]:
     """Errors without noise at t = 0.10, by lambda, and at t = 0.30 with lambda = 1: resultant R and map M."""
     found: dict[str, float] = {}
     for t, lam in ((0.1, 0.003), (0.1, 0.03), (0.1, 0.1), (0.3, 1.0)):
-        surface = Surface(t)
+        surface = PressedLayer(t)
         errors = surface.errors(_solved(surface, surface.readings(0.0, 0), lam))
         found |= {f"R{lam:g}": float(errors[0]), f"M{lam:g}": float(errors[1])}
     return found
@@ -92,7 +92,7 @@ def partial() -> dict[str, Any]:
 
 def sizes() -> dict[str, Any]:
     """Singular values of the kernel at t = 0.10: the largest, the smallest, condition numbers of it and its square."""
-    s = Surface(0.1).path(np.zeros(CELLS)).singular_values
+    s = PressedLayer(0.1).path(np.zeros(CELLS)).singular_values
     return {"first": s[0], "last": s[-1], "kappa": s[0] / s[-1], "squared": (s[0] / s[-1]) ** 2}
 
 
@@ -100,7 +100,7 @@ def thickness() -> dict[str, Any]:
     """Modes with a singular value above 1 % of the largest, by thickness; condition numbers at t = 0.05 and 0.10."""
     found: dict[str, Any] = {}
     for t in THICK:
-        s = Surface(t).path(np.zeros(CELLS)).singular_values
+        s = PressedLayer(t).path(np.zeros(CELLS)).singular_values
         found |= {f"modes{t:.2f}": int(np.sum(s > 0.01 * s[0])), f"kappa{t:.2f}": s[0] / s[-1]}
     return found
 
@@ -108,14 +108,14 @@ def thickness() -> dict[str, Any]:
 def stiffness() -> dict[str, Any]:
     """A gel half as stiff doubles the kernel: by how much its condition number, and the readings, change."""
     kappa, twice = (layout(np.linalg.svd(k * kernel(0.1), compute_uv=False), CELLS)[0] for k in (1, 2))
-    load = Surface(0.1).load
+    load = PressedLayer(0.1).load
     gain = np.max(2 * kernel(0.1) @ load) / np.max(kernel(0.1) @ load)
     return {"kappa": abs(twice / kappa - 1), "gain": gain}
 
 
 def filters() -> dict[str, Any]:
     """Filter factors of Tikhonov's solution where sigma is lambda, ten times it, and a tenth of it; modes at 0.01."""
-    path = Surface(0.1).path(np.zeros(CELLS))
+    path = PressedLayer(0.1).path(np.zeros(CELLS))
     gamma, scale = path.singular_values, float(path.scale)
     k = 10
     equal, over, under = (float(path.filter_factors(gamma[k] * f / scale)[k]) for f in (1.0, 0.1, 10.0))
@@ -124,7 +124,7 @@ def filters() -> dict[str, Any]:
 
 def shortcut() -> dict[str, Any]:
     """The shortcut f = K u: rms load that noise of 1 % of the largest reading makes, over the peak."""
-    surface = Surface(0.1)
+    surface = PressedLayer(0.1)
     path = surface.path(np.zeros(CELLS))
     noise = surface.sigma(ETA) * np.sqrt(np.sum(1 / path.singular_values**2) / CELLS)
     return {"noise": float(noise / surface.load.max())}
@@ -157,7 +157,7 @@ def priors() -> dict[str, Any]:
     """Map errors on a flat punch and on a point by three priors, at the best lambda of each (truth known)."""
     found = {}
     for profile in ("punch", "point"):
-        surface = Surface(0.1, profile=profile)
+        surface = PressedLayer(0.1, profile=profile)
         sigma = surface.sigma(ETA)
         y = surface.readings(sigma, 0)
         for method in ("identity", "laplacian", "nonnegative", "l1"):
@@ -174,7 +174,7 @@ FACTS: dict[str, Callable[[], Mapping[str, Any]]] = {
 }  # fmt: skip
 
 
-class Stated(float):
+class FigureInText(float):
     """A number that is written as people do: 1.36e6, 84 %."""
 
     def __format__(self, spec: str) -> str:
@@ -186,7 +186,7 @@ class Stated(float):
 
 class _Named(dict[str, Any]):
     def __missing__(self, name: str) -> dict[str, Any]:
-        return {key: Stated(value) for key, value in FACTS[name]().items()}
+        return {key: FigureInText(value) for key, value in FACTS[name]().items()}
 
 
 def stated(text: str) -> str:
@@ -194,18 +194,18 @@ def stated(text: str) -> str:
     return " ".join(text.split()).format_map(_Named())
 
 
-def _solved(surface: Surface, data: Array, lam: float) -> Array:
+def _solved(surface: PressedLayer, data: Array, lam: float) -> Array:
     path = surface.path(data)
     return np.asarray(path.solution(lam / float(path.scale), None).load)
 
 
-def _draws(surface: Surface) -> Array:
+def _draws(surface: PressedLayer) -> Array:
     """Readings of many draws, (markers, draws)."""
     sigma = surface.sigma(ETA)
     return np.column_stack([surface.readings(sigma, seed) for seed in range(DRAWS)])
 
 
-def _judged(surface: Surface) -> dict[str, Any]:
+def _judged(surface: PressedLayer) -> dict[str, Any]:
     data = _draws(surface)
     kappa, rank, nullity = layout(surface.path(data).singular_values, CELLS)
     errors = surface.errors(_solved(surface, data, 1e-3))

@@ -10,10 +10,10 @@ import numpy as np
 from .._inverse.path import RegularizationPath
 from .._inverse.rules import RULES, gcv_function, run
 from .._inverse.sweep import Sweep
-from .contract import Call, Page, Parameter, Real, Switch, Whole, rounded
-from .surface import CELLS, Array, Surface
+from .contract import Call, OnOff, Page, Parameter, Real, Whole, rounded
+from .surface import CELLS, Array, PressedLayer
 
-SURFACE, ETA = Surface(0.1), 0.01
+SURFACE, ETA = PressedLayer(0.1), 0.01
 GRID = np.geomspace(1e-6, 1.0, 150)  # absolute lambdas: about from the smallest singular value to the largest
 SMOOTH = 1.5  # nodes: std of the window behind correlated noise
 DRAWS = 200
@@ -119,7 +119,7 @@ def _own_range(values: Array) -> Array:
     return np.asarray((values - low) / (high - low))
 
 
-DRAW: dict[str, Parameter] = {"seed": Whole(0, 10**6), "correlated": Switch()}
+DRAW: dict[str, Parameter] = {"seed": Whole(0, 10**6), "correlated": OnOff()}
 page = Page(
     "lcurve", "L-curve and GCV",
     "Two bumps under a layer, one per cent of noise, 150 lambdas from one SVD: where each rule lands, draw after draw.",
@@ -127,6 +127,6 @@ page = Page(
     {
         "curves": Call(curves, DRAW),
         "at": Call(at, {**DRAW, "lam": Real(1e-6, 1.0)}),
-        "histogram": Call(histogram, {"correlated": Switch()}),
+        "histogram": Call(histogram, {"correlated": OnOff()}),
     },
 )  # fmt: skip

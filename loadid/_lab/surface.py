@@ -50,7 +50,7 @@ METHODS = ("naive", "identity", "gradient", "laplacian", "tsvd", "nonnegative", 
 
 
 @dataclass(frozen=True)
-class Surface:
+class PressedLayer:
     """A layer, its load and its markers.
 
     Parameters
@@ -111,7 +111,7 @@ class Surface:
 
 
 def solved(
-    surface: Surface, path: SVDPath, y: Array, method: str, lam: float, sigma: float
+    surface: PressedLayer, path: SVDPath, y: Array, method: str, lam: float, sigma: float
 ) -> tuple[Array, Array | None, float | None]:
     """Load (cells,), its std where there is noise, and the effective degrees of freedom."""
     if method == "l1":

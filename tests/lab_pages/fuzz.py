@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from loadid._lab.contract import OneOf, Real, Switch, Text, Vector, Whole
+from loadid._lab.contract import OneOf, OnOff, Real, Reals, Text, Whole
 from loadid._lab.server import Lab
 
 from .client import known
@@ -31,9 +31,9 @@ def right(parameter: Any, rng: np.random.Generator) -> Any:
             return int(rng.integers(low, min(high, low + 5), endpoint=True))
         case OneOf(names):
             return str(rng.choice(names))
-        case Switch():
+        case OnOff():
             return bool(rng.integers(2))
-        case Vector(low, high, most, least):
+        case Reals(low, high, most, least):
             return rng.uniform(low, high, rng.integers(least, most, endpoint=True)).tolist()
         case Text():
             return "text"
@@ -105,9 +105,9 @@ def _within(parameter: Any, value: Any) -> bool:
             return plain and isinstance(value, int) and low <= value <= high
         case OneOf(names):
             return isinstance(value, str) and value in names
-        case Switch():
+        case OnOff():
             return value is True or value is False
-        case Vector(low, high, most, least):
+        case Reals(low, high, most, least):
             return (
                 isinstance(value, list)
                 and least <= len(value) <= most

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loadid._lab.contract import Call, Download, OneOf, Page, Real, Switch, Text, Vector, Whole, rounded
+from loadid._lab.contract import Call, Download, OneOf, OnOff, Page, Real, Reals, Text, Whole, rounded
 from loadid._lab.pages import pages
 from loadid._lab.server import NAME, PARAMETERS, TOKEN, Lab, _LabHandler
 from loadid._loopback import CLIENTS, LoopbackHandler, LoopbackServer
@@ -45,9 +45,9 @@ ECHO = Page(
     "echo", "Echo <b>", "says it again", "loadid._lab", "files/shell.html",
     {
         "say": Call(lambda **given: {**given, "array": np.array([1.5, math.nan])},
-                    {"x": Real(0, 1), "n": Whole(-2, 3), "on": Switch(), "word": OneOf(("a", "b")), "text": Text(5),
-                     "list": Vector(0, 1, 3)}),
-        "up": Call(_up, {"keep": Switch()}, upload=200_000),
+                    {"x": Real(0, 1), "n": Whole(-2, 3), "on": OnOff(), "word": OneOf(("a", "b")), "text": Text(5),
+                     "list": Reals(0, 1, 3)}),
+        "up": Call(_up, {"keep": OnOff()}, upload=200_000),
         "down": Call(lambda: Download('a"b\r\n.csv', b"1,2", "text/csv")),
         "fails": Call(_fails, {"how": Text()}),
         "nothing": Call(dict),
