@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from loadid._lab.contract import Call, Page, Real, Switch, rounded
+from loadid._lab.contract import Call, OnOff, Page, Real, rounded
 
 MOST = 60.0  # times the noise of the camera
 
@@ -32,10 +32,10 @@ page = Page(
         "walk": Call(
             _walk,
             {
-                **{name: Switch() for name in ("vanish", "naive", "ignored", "uncorrected", "wrong", "ridge")},
+                **{name: OnOff() for name in ("vanish", "naive", "ignored", "uncorrected", "wrong", "ridge")},
                 "noise": Real(1.0, MOST),
             },
         ),
-        "picture": Call(_picture, {"vanish": Switch(), "rest": Switch()}),
+        "picture": Call(_picture, {"vanish": OnOff(), "rest": OnOff()}),
     },
 )
