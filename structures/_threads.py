@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from importlib import import_module
 from threading import Lock
+
+LARGE = 500  # rows from which a factorisation gains from a second thread
 
 _MODULES = ("numpy.linalg._umath_linalg", "scipy.linalg._fblas")  # linked to the library: it is found through them
 _NAMES = tuple(f"{who}openblas_{{}}_num_threads{ints}" for who in ("scipy_", "") for ints in ("64_", ""))
@@ -78,3 +80,8 @@ def all_threads() -> Iterator[None]:
         with _lock:
             if _inside:
                 _set([1] * len(_before))
+
+
+def threads_for(rows: int) -> AbstractContextManager[None]:
+    """For a factorisation of a matrix with so many rows or columns, whichever are more: all threads, or one."""
+    return all_threads() if rows >= LARGE else one_thread()

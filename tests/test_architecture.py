@@ -35,7 +35,7 @@ DOORS = (
     "loadid.__init__",
     "loadid.cli",
     "loadid._commands",
-    "loadid.lab",
+    "loadid._lab",
     "loadid._batch",
     "loadid._serve",
     "loadid._stream",

@@ -9,7 +9,7 @@ import pytest
 
 from loadid import Deconvolution
 from loadid._commands import demo
-from structures._threads import all_threads, one_thread, threads
+from structures._threads import LARGE, all_threads, one_thread, threads, threads_for
 
 found = pytest.mark.skipif(not threads(), reason="the linear algebra is no OpenBLAS")
 
@@ -27,6 +27,16 @@ def test_one_inside_and_what_was_before_outside() -> None:
     assert threads() == before
     with all_threads():
         assert threads() == before
+
+
+@found
+def test_a_small_factorisation_takes_one_thread_and_a_large_one_all() -> None:
+    before = threads()
+    with threads_for(LARGE - 1):
+        assert set(threads()) == {1}
+    with one_thread(), threads_for(LARGE):
+        assert threads() == before
+    assert threads() == before
 
 
 @found

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,14 @@ from structures.errors import InputError
 
 from .. import _guards as guards
 from .._guards import choice as told
-from .._inverse.choice import Choice, checked, choose, given, named
+from .._inverse.choice import Choice, checked, choose, given, moved, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
 from .._inverse.path import Solution
 from .._inverse.penalties import order
 from .._inverse.support import ActingPosterior
+from .._results.again import Again, Quick
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
@@ -153,6 +155,10 @@ class Deconvolution:
         data = without_offsets(data, self.model, at_rest=self.settings.resting, allow=self.settings.allow)
         self._progress(0.1, "posing the problem")
         fit = settled(self.model, data, self._pose, self._choose, self._in_motion)
+        return replace(self._answered(fit), again=self._again(fit))
+
+    def _answered(self, fit: Settled) -> LoadEstimate:
+        """The estimate of a problem whose lambda is chosen."""
         data, posed, choice = fit.data, fit.posed, fit.choice
         self._progress(0.9, "estimating the load")
         posed.path.precompute(choice.lam, lambda f, t: self._progress(0.9 + 0.09 * f, t))
@@ -183,6 +189,32 @@ class Deconvolution:
             solved=None if pushed is not None else posed.path, judged=not prior,
             spare=self._spare(posed, data),
         )  # fmt: skip
+
+    def _again(self, fit: Settled) -> Again | None:
+        """The problem, to be asked at another lambda; None without regularisation and for loads that are learned."""
+        if self._free or self.settings.local or fit.posed.path.stacked:
+            return None
+        quick = partial(self._quick, fit) if self.settings.signed is False else None
+        return Again(fit.posed.path, partial(self._at, fit), quick)
+
+    def _at(self, fit: Settled, lam: float) -> LoadEstimate:
+        own = copy(self)
+        own.choice, own._progress = lam, Progress(None)
+        own.settings = replace(self.settings, lam=replace(self.settings.lam, choice=lam))
+        asked = fit.posed.path.coefficients is not None  # where a sweep is dear, no rule is asked beside a given lambda
+        choice = moved(fit.choice, fit.posed.judged, lam) if asked else own._choose(fit.posed)
+        fit = replace(fit, choice=choice)
+        with one_thread():
+            return replace(own._answered(fit), again=self._again(fit))
+
+    def _quick(self, fit: Settled, lam: float) -> Quick:
+        posed, path = fit.posed, fit.posed.path
+        sigma = noise_level(path, replace(fit.choice, lam=lam), posed.noise)
+        solution = self._in_windows(path.solution(lam, sigma), fit.data.dt)
+        assert solution.posterior is not None
+        load, std = solution.load, np.broadcast_to(solution.posterior.std, solution.load.shape)
+        bias = identifiability.hidden(path, lam, load, std)
+        return Quick(load, np.maximum(std, np.abs(bias)))
 
     def _found(
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None

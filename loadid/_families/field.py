@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from .. import _guards as guards
 from .._guards.inversion import undetermined_field
 from .._inverse.gaussian.posterior import MappedPosterior
 from .._inverse.penalties import names
+from .._results.again import Again
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import takes
@@ -150,7 +152,7 @@ class FieldDeconvolution:
         T, size = self._combinations(told)
         model = self.model if T is None else self.shapes or mapped(self.model, T)
         found = Deconvolution(model, penalty=replace(self.time, size=size), **self._settings).estimate(record, dt)
-        return self._over_places(found, T, told, data)
+        return self._kept(found, T, told, data)
 
     def motion(self, estimate: LoadEstimate) -> Motion:
         """Motion of the whole structure under an estimate: displacement, velocity and acceleration of every DOF.
@@ -193,6 +195,16 @@ class FieldDeconvolution:
         if told < unknowns and self.space is None and "LID-E514" not in self.allow:
             raise undetermined_field(told, unknowns, len(data.rows), len(data.values))
         return told
+
+    def _kept(self, found: LoadEstimate, T: Array | None, told: int, data: Data) -> LoadEstimate:
+        """The estimate over places, with the problem that it can be asked of at another lambda."""
+        placed = self._over_places(found, T, told, data)
+        if found.again is None:
+            return placed
+        return replace(placed, again=Again(found.again.path, partial(self._at, found, T, told, data)))
+
+    def _at(self, found: LoadEstimate, T: Array | None, told: int, data: Data, lam: float) -> LoadEstimate:
+        return self._kept(found.at(lam), T, told, data)
 
     def _over_places(self, found: LoadEstimate, T: Array | None, told: int, data: Data) -> LoadEstimate:
         """The estimate in the loads of the model, with their places and all that is said of them."""

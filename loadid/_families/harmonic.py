@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,11 @@ from structures._model import Model, as_model
 from structures.errors import InputError, plain, positive
 
 from .. import _guards as guards
-from .._inverse.choice import checked, choose, named
+from .._inverse.choice import Choice, checked, choose, moved, named
 from .._inverse.diagnosis import identifiability
 from .._inverse.problem import NOT_KNOWN, STATED, LinearProblem
 from .._inverse.svd import SVDPath
+from .._results.again import Again
 from .._results.estimate import Axis, LoadEstimate
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise
@@ -117,12 +120,25 @@ class HarmonicInversion:
         self._refuse_undetermined(path)
         self._progress(0.4, "choosing lambda")
         choice = choose(path, self.choice, sigma=noise.sigma, source=noise.source)
+        self._progress(1.0, "done")
+        return self._kept(Y, path, noise, choice)
+
+    def _kept(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
+        """The answer, with the problem that it can be asked of at another lambda; not without regularisation."""
+        found = self._answered(Y, path, noise, choice)
+        return found if self._free else replace(found, again=Again(path, partial(self._at, Y, path, noise, choice)))
+
+    def _at(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice, lam: float) -> LoadEstimate:
+        own = copy(self)
+        own.choice = lam
+        return own._kept(Y, path, noise, moved(choice, path, lam))
+
+    def _answered(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
         sigma = noise_level(path, choice, noise)
         solution = path.solution(choice.lam, sigma)
         rest = Y - self.H @ (solution.load[0] + 1j * solution.load[1])
         facts = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
         layout = identifiability.layout(path.singular_values, self.unknowns)
-        self._progress(1.0, "done")
         found = of_path(
             path, choice, solution, sigma, noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),
             response=np.stack([Y.real, Y.imag]), residual=np.stack([rest.real, rest.imag]),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,10 @@ from structures._models.arrays import MatrixModel
 from structures.errors import InputError, NotIdentifiable
 
 from .. import _guards as guards
-from .._inverse.choice import Choice, checked, choose, given, named
+from .._inverse.choice import Choice, checked, choose, given, moved, named
 from .._inverse.diagnosis import diagnose, identifiability
 from .._inverse.path import Solution
+from .._results.again import Again
 from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
 from .._spellings import Progress, takes
@@ -152,7 +155,7 @@ class StaticInversion:
         self._progress(0.4, "choosing lambda")
         choice = self.choose(posed)
         self._progress(0.8, "estimating the load")
-        return self.answer(given, posed, choice)
+        return self._kept(given, posed, choice)
 
     def calibrate(self, records: Sequence[Any]) -> Calibration:
         """Choose one relative lambda for several readings, and keep it for `estimate` and `freeze`.
@@ -253,6 +256,19 @@ class StaticInversion:
                 posed.H, given.values, posed.noise, given.channels, None if self.free else self._expected
             ),
         )  # fmt: skip
+
+    def _kept(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
+        """The answer, with the problem that it can be asked of at another lambda; not without regularisation."""
+        found = self.answer(given, posed, choice)
+        if self.free:
+            return found
+        return replace(found, again=Again(posed.path, partial(self._at, given, posed, choice)))
+
+    def _at(self, given: Readings, posed: StaticProblem, choice: Choice, lam: float) -> LoadEstimate:
+        own = copy(self)
+        own.choice, own.calibration, own._progress = lam, None, Progress(None)
+        now = own.choose(posed) if posed.constrained else moved(choice, posed.path, lam)
+        return own._kept(given, posed, now)
 
     def at_rest(self) -> StaticProblem:
         """The problem without readings: what a frozen inverse is made of."""

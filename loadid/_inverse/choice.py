@@ -582,6 +582,35 @@ def relative(choice: object, low: float = 0.0) -> float:
     return lam
 
 
+def positive_lambda(lam: object) -> float:
+    """A relative lambda above 0.
+
+    Raises
+    ------
+    InputError
+        Anything else.
+    """
+    found = relative(lam)
+    if found == 0:
+        raise InputError("at lambda 0 the problem is another one", where="lambda", found="0",
+                         expected="a number above 0", hint="ask the family with choice=0")  # fmt: skip
+    return found
+
+
+def moved(choice: Choice, path: RegularizationPath, lam: float) -> Choice:
+    """The choice of a user who gives `lam` after the rules were asked, which are judged beside it as ever."""
+    edf = path.at(lam).edf
+    given_now = replace(choice, lam=lam, rule="given", edf=None if edf is None else float(edf), shown=None)
+    if not choice.rules:
+        return given_now
+    asked = {found.rule: found for found in choice.rules}
+    evidence = whiteness_of(path, asked, lam)
+    correlated = is_correlated(evidence)
+    spread, verdict = agreement(asked, lam, path, correlated)
+    odds = f"{in_words(verdict, choice.sigma is not None)}; lambda itself was given"
+    return replace(given_now, spread=spread, verdict=verdict, odds=odds, whiteness=evidence, correlated=correlated)
+
+
 def _spends(path: RegularizationPath, lam: float) -> bool:
     """Whether the solution takes more than a fifth of the data as degrees of freedom."""
     edf = path.at(lam).edf

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from structures._advice import Advice, Option
-from structures._threads import all_threads
+from structures._threads import threads_for
 from structures.errors import InputError, NotIdentifiable
 
 from . import Array
@@ -55,7 +55,6 @@ def plain(H: Array) -> Factors:
     return Factors(U, pad(c, n), np.ones(n), Wt.T, Wt.T, 1.0, float(c[0]))
 
 
-@all_threads()
 def paired(H: Array, L: Array, labels: Sequence[str] | None = None) -> Factors:
     """Modes of (H, L) from the QR of ``[H; alpha L]`` and the SVD of its upper block.
 
@@ -69,6 +68,11 @@ def paired(H: Array, L: Array, labels: Sequence[str] | None = None) -> Factors:
     NotIdentifiable
         If the null spaces meet (LID-E306); the message names the loads.
     """
+    with threads_for(H.shape[1]):
+        return _paired(H, L, labels)
+
+
+def _paired(H: Array, L: Array, labels: Sequence[str] | None) -> Factors:
     import scipy.linalg
 
     m, n = H.shape
@@ -117,13 +121,13 @@ def augmented(H: Array, L: Array, y: Array, x: float) -> Array:
     return np.asarray(scipy.linalg.solve_triangular(R[:n, :n], R[:n, n:]).reshape(n, *y.shape[1:]))
 
 
-@all_threads()
 def svd(A: Array, overwrite: bool = False) -> tuple[Array, Array, Array]:
     """SVD by divide and conquer, with all right vectors: U (m, r), c (r,), Wt (n, n)."""
     import scipy.linalg
 
     m, n = A.shape
-    U, c, Wt = scipy.linalg.svd(A, full_matrices=m < n, overwrite_a=overwrite, check_finite=False)
+    with threads_for(max(m, n)):
+        U, c, Wt = scipy.linalg.svd(A, full_matrices=m < n, overwrite_a=overwrite, check_finite=False)
     return U[:, : len(c)], c, Wt
 
 

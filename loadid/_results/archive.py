@@ -99,7 +99,7 @@ def without_arrays(tree: dict[str, Any]) -> dict[str, Any]:
 
 def to_tree(e: LoadEstimate) -> dict[str, Any]:
     """Nested dictionary of everything, as `structures.files._storage` takes it."""
-    tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e)}
+    tree: dict[str, Any] = {f.name: getattr(e, f.name) for f in fields(e) if f.name != "again"}
     tree["axis"] = e.axis and asdict(e.axis)
     tree["choice"] = e.choice and {**asdict(e.choice), "sigma_source": e.choice.sigma_source}
     tree["certificate"] = e.certificate and asdict(e.certificate)

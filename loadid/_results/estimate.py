@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from statistics import NormalDist
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,6 +20,7 @@ from structures.files import _storage as storage
 
 from .._inverse.choice import Choice
 from . import tables
+from .again import Again
 from .facts import Facts, Grade, grade
 from .faults import SensorFault
 from .functionals import Functional, functional, resultants
@@ -29,6 +30,8 @@ from .summary import NOT_VERIFIED, summary
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from .._lab.explore import Exploration
 
 Array = NDArray[Any]
 
@@ -107,6 +110,8 @@ class LoadEstimate:
         Sensors that contradict the others: `SensorFault.correct` gives the readings without the fault.
     facts : Facts
         Numbers that are printed with every result (`loadid._results.facts`); a mapping of them is taken too.
+    again : Again, optional
+        The problem behind it, for `at`.
 
     Raises
     ------
@@ -136,6 +141,7 @@ class LoadEstimate:
     spectrum: Any = field(default=None, repr=False)
     faults: Sequence[SensorFault] = ()
     facts: Facts = field(default_factory=Facts)
+    again: Again | None = field(default=None, repr=False, compare=False)
 
     kind_of_facts: ClassVar[type[Facts]] = Facts
 
@@ -160,7 +166,7 @@ class LoadEstimate:
     def __reduce__(self) -> tuple[Any, ...]:
         state = {f.name: getattr(self, f.name) for f in fields(self)}
         views = {k: v if v is None else dict(v) for k in ("provenance", "geometry") for v in [state[k]]}
-        return rebuilt, (type(self), state | views)
+        return rebuilt, (type(self), state | views | {"again": None})
 
     # -- numbers --------------------------------------------------------------------------------------------------
     @property
@@ -287,10 +293,38 @@ class LoadEstimate:
             )  # fmt: skip
         return self.load if matrix is None else np.asarray(self.load @ np.asarray(matrix).T)
 
+    def at(self, lam: float) -> LoadEstimate:
+        """The estimate at another relative lambda: what the family answers with ``choice=lam``, for much less work.
+
+        The problem is that of this estimate: what was found with its own lambda (constants of channels that see none)
+        stays, and a variance of the load that was learned from the record gives way to a constant one.
+
+        Parameters
+        ----------
+        lam : float
+            Relative to the scale of the problem, ``choice.scale``; above 0.
+
+        Raises
+        ------
+        InputError
+            No such lambda; an estimate that came from a file, a copy or another process, or of a family without one
+            lambda: FrequencyInversion, SparseDeconvolution, LoadTracker.
+        """
+        from .._inverse.choice import positive_lambda
+
+        if self.again is None:
+            raise InputError(
+                "this estimate holds no problem that could be solved at another lambda", where="at",
+                found=str(self.provenance.get("family", "an estimate of unknown origin")),
+                expected="what Deconvolution, FieldDeconvolution, StaticInversion or HarmonicInversion returned here",
+                hint="ask the family again, with choice=",
+            )  # fmt: skip
+        found = self.again.full(positive_lambda(lam))
+        notes = self.provenance.get("notes")
+        return replace(found, provenance={**found.provenance, "notes": notes}) if notes else found
+
     def validated(self, validation: Any) -> LoadEstimate:
         """Copy that carries what was validated (`loadid.validate.validate`), in its summary, report and file."""
-        from dataclasses import replace
-
         return replace(self, validation=validation, flags=(*self.flags, *validation.flags))
 
     def index(self, load: int | str | None) -> int:
@@ -374,6 +408,32 @@ class LoadEstimate:
         from .._plots import plot
 
         return plot(self, kind, truth=truth, ax=ax, path=path, show=show)
+
+    def explore(self, *, browser: bool | None = None, port: int = 0) -> Exploration:
+        """The estimate in the lab: a page with its L-curve, a slider for lambda, residuals and flags.
+
+        The page is served on this machine alone until `Exploration.close`; nothing waits for it.
+
+        Parameters
+        ----------
+        browser : bool, optional
+            Open it in the browser; default yes, but not in a notebook, which shows the page where it stands.
+        port : int
+            0 for any that is free.
+
+        Returns
+        -------
+        Exploration
+            With the `address` of the page; its ``repr`` says it too.
+
+        Raises
+        ------
+        InputError
+            A port that cannot be had.
+        """
+        from .._lab.explore import explore
+
+        return explore(self, browser=browser, port=port)
 
     def report(self, path: str | os.PathLike[str], *, truth: ArrayLike | None = None) -> None:
         """Write one self-contained HTML page."""

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from structures.errors import InputError
-
+from .._loopback import LoopbackHandler, LoopbackServer
 from .server import Server
 
 PHASES = ("warm-up", "transient", "periodic", "steady")
-log = logging.getLogger(__name__)
-LOCAL = ("127.0.0.1", "localhost")
 HELP = {
     "loadid_up": ("gauge", "1 while a structure is tracked, 0 while it is halted"),
     "loadid_connected": ("gauge", "1 while the source of a structure is there"),
@@ -135,13 +130,9 @@ class Endpoint:
     """
 
     def __init__(self, server: Server, port: int) -> None:
-        handler = type("Handler", (_Handler,), {"asked": server})
-        try:
-            self._http = _Http(("127.0.0.1", port), handler)
-        except OSError as error:
-            raise InputError("the port cannot be had", where=f"[run], http = {port}", found=error.strerror,
-                             hint="name another one, or 0 for any that is free") from None  # fmt: skip
-        self.address = f"http://127.0.0.1:{self._http.server_address[1]}"
+        handler = type("MetricsOf", (_Metrics,), {"asked": server})
+        self._http = LoopbackServer(port, handler, where="[run], http =")
+        self.address = self._http.address
         self._thread = threading.Thread(target=self._http.serve_forever, name="metrics", daemon=True)
         self._thread.start()
 
@@ -151,40 +142,19 @@ class Endpoint:
         self._http.server_close()
 
 
-class _Http(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who asked has left before the answer."""
-        log.debug("no answer to %s", client_address, exc_info=True)
-
-
-class _Handler(BaseHTTPRequestHandler):
+class _Metrics(LoopbackHandler):
     asked: Server
-    timeout = 10  # s for a request
 
     def do_GET(self) -> None:
         """``/metrics`` and ``/health``."""
-        host = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if host not in LOCAL:
-            self._said(403, "text/plain", "this server speaks to its own machine\n")
+        if not self.local:
+            self.say(403, "text/plain", "this server speaks to its own machine\n")
         elif self.path == "/metrics":
             found = self.asked.ask(samples)
-            self._said(*((503, "text/plain", "no round has ended in time\n") if found is None else
+            self.say(*((503, "text/plain", "no round has ended in time\n") if found is None else
                          (200, "text/plain; version=0.0.4; charset=utf-8", exposition(found))))  # fmt: skip
         elif self.path == "/health":
             state = self.asked.ask(health) or {"status": "no round has ended in time"}
-            self._said(200 if state["status"] == "ok" else 503, "application/json", json.dumps(state) + "\n")
+            self.say(200 if state["status"] == "ok" else 503, "application/json", json.dumps(state) + "\n")
         else:
-            self._said(404, "text/plain", "/metrics or /health\n")
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing."""
-
-    def _said(self, code: int, kind: str, text: str) -> None:
-        data = text.encode()
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        self.wfile.write(data)
+            self.say(404, "text/plain", "/metrics or /health\n")

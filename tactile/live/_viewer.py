@@ -11,19 +11,19 @@ import json
 import threading
 import time as clock
 from contextlib import suppress
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from loadid._loopback import LoopbackHandler, LoopbackServer
+
 from .._arrays import Array
 from .._results.forcemap import ForceMap
 from ._frame import LiveFrame
-from ._messages import LineListeners, message, taken
+from ._messages import LineListeners, message
 
-LOCAL = ("127.0.0.1", "localhost")
 RATE = 30.0  # pictures a second, at most
 CELLS, ARROWS = 64, 16  # places along the longer side that are drawn, of the pressure and of the arrows
 DEEP = 127  # of a byte, for the largest value of a picture
@@ -49,12 +49,8 @@ class Viewer:
         self.listeners = LineListeners(room=2)
         self._least, self._last = 1 / rate, -np.inf
         self._drawn: _Drawn | None = None
-        handler = type("Handler", (_PageHandler,), {"viewer": self})
-        try:
-            self._http = _PageServer(("127.0.0.1", port), handler)
-        except OSError as error:
-            raise taken("--view", port, error) from None
-        self.address = f"http://127.0.0.1:{self._http.server_address[1]}/"
+        self._http = LoopbackServer(port, type("PageOf", (_PageHandler,), {"viewer": self}), where="--view")
+        self.address = f"{self._http.address}/"
         threading.Thread(target=self._http.serve_forever, name="viewer", daemon=True).start()
 
     def show(self, frame: LiveFrame) -> None:
@@ -127,49 +123,30 @@ def _bytes(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
 
 
-class _PageServer(ThreadingHTTPServer):
-    daemon_threads = True
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Who looked has left."""
-
-
-class _PageHandler(BaseHTTPRequestHandler):
+class _PageHandler(LoopbackHandler):
     viewer: Viewer
-    timeout = 10  # s for a request
+    headers_of_all: ClassVar[dict[str, str]] = {"Content-Security-Policy": "default-src 'self' 'unsafe-inline'"}
 
     def do_GET(self) -> None:
         """``/``, ``/layout`` and ``/pictures``."""
-        host = self.headers.get("Host", "").rpartition(":")[0] or self.headers.get("Host", "")
-        if host not in LOCAL:
-            self._said(403, "text/plain", "this page is for its own machine\n")
+        if not self.local:
+            self.say(403, "text/plain", "this page is for its own machine\n")
         elif self.path == "/":
-            self._said(200, "text/html; charset=utf-8", files(__package__).joinpath("page.html").read_text("utf-8"))
+            self.say(200, "text/html; charset=utf-8", files(__package__).joinpath("page.html").read_text("utf-8"))
         elif self.path == "/layout":
-            self._said(200, "application/json", json.dumps(self.viewer.layout()))
+            self.say(200, "application/json", json.dumps(self.viewer.layout()))
         elif self.path == "/pictures":
             self._pictures()
         else:
-            self._said(404, "text/plain", "/, /layout or /pictures\n")
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Nothing."""
+            self.say(404, "text/plain", "/, /layout or /pictures\n")
 
     def _pictures(self) -> None:
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
+        self.wfile.flush()
         with suppress(OSError):
             for text in self.viewer.listeners.heard():
                 self.wfile.write(b": here\n\n" if text is None else f"data: {text}\n\n".encode() if text else b"")
                 self.wfile.flush()
-
-    def _said(self, code: int, kind: str, text: str) -> None:
-        data = text.encode()
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(data)))
-        self.send_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'")
-        self.end_headers()
-        self.wfile.write(data)

@@ -1,0 +1,1 @@
+"""The pages of `loadid lab`: server, numbers, browser."""

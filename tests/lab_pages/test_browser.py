@@ -1,0 +1,271 @@
+"""The lab in a real browser: silent, offline, by keyboard alone, on a phone, in the dark, for a screen reader."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from loadid._lab.pages import pages
+from loadid._lab.server import Lab
+
+from .client import CHROMIUM
+
+playwright = pytest.importorskip("playwright.sync_api")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+OWN = ("contact", "lcurve", "cards")
+READY = "document.documentElement.dataset.drawn >= 1"
+SERIOUS = ("serious", "critical")
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[Lab]:
+    with Lab(pages()) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        found = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+def wait(page: Any, expression: str, seconds: float = 30) -> None:
+    """Until it is true; asked from outside, as the policy of the page lets no text be run in it."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, expression
+        time.sleep(0.01)
+
+
+class Visit:
+    """A page of the lab in a window, and what went wrong or over the wire meanwhile."""
+
+    def __init__(self, lab: Lab, browser: Any, name: str, **settings: Any) -> None:
+        self.lab, self.wrong, self.bytes = lab, [], 0
+        self.context = browser.new_context(**{"viewport": {"width": 1200, "height": 900}, **settings})
+        self.page = self.context.new_page()
+        self.page.on("console", lambda m: self.wrong.append(m.text) if m.type in ("error", "warning") else None)
+        self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
+        self.page.on("request", self._asked)
+        self.page.on("requestfinished", self._weighed)
+        self.page.goto(lab.page(name) if name else lab.address)
+        if name:
+            wait(self.page, READY)
+
+    def _asked(self, request: Any) -> None:
+        if not request.url.startswith((self.lab.http.address + "/", "data:")):
+            self.wrong.append(f"asks {request.url}")
+
+    def _weighed(self, request: Any) -> None:
+        sizes = request.sizes() if request.url.startswith("http") else {}
+        self.bytes += sum(sizes.get(k, 0) for k in ("responseBodySize", "responseHeadersSize", "requestBodySize",
+                                                    "requestHeadersSize"))  # fmt: skip
+
+    def again(self, action: Callable[[], Any]) -> None:
+        """An action, and the picture after it."""
+        before = self.page.evaluate("Number(document.documentElement.dataset.drawn)")
+        action()
+        wait(self.page, f"document.documentElement.dataset.drawn > {before}")
+
+    def text(self, selector: str) -> str:
+        return str(self.page.inner_text(selector))
+
+    def number(self, name: str) -> str:
+        """Readout of that name."""
+        return str(self.page.locator("dl.numbers > div", has_text=name).first.locator("dd").inner_text())
+
+    def close(self) -> None:
+        self.context.close()
+        assert self.wrong == []
+
+
+@pytest.fixture
+def visit(lab: Lab, browser: Any) -> Iterator[Callable[..., Visit]]:
+    """Open pages; at the end of the test nothing may have gone wrong on any of them."""
+    opened: list[Visit] = []
+
+    def open_(name: str, **settings: Any) -> Visit:
+        opened.append(Visit(lab, browser, name, **settings))
+        return opened[-1]
+
+    yield open_
+    for one in opened:
+        one.close()
+
+
+# -- for everybody -----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", OWN)
+def test_a_page_fits_a_phone_and_the_dark(visit: Callable[..., Visit], name: str) -> None:
+    found = visit(name, viewport={"width": 320, "height": 640}, color_scheme="dark", reduced_motion="reduce")
+    assert found.page.evaluate("document.documentElement.scrollWidth") <= 320
+    assert found.page.locator("#old").count() == 0
+    ink, paper = found.page.evaluate(
+        "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
+    )
+    light, dark = (sum(map(int, re.findall(r"\d+", text)[:3])) for text in (ink, paper))
+    assert light > 500 > 200 > dark
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("name", OWN)
+def test_axe_finds_nothing_serious(visit: Callable[..., Visit], name: str, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    found = visit(name, color_scheme=scheme)
+    if name == "contact":
+        found.page.click("[data-which='4']")
+        found.page.wait_for_selector("#outcome:not([hidden])")
+    elif name == "cards":
+        found.page.click("#turn")
+        found.page.wait_for_selector("#answer:not([hidden])")
+    told = axe.Axe().run(found.page).response["violations"]
+    assert [(v["id"], [n["target"] for n in v["nodes"]][:3]) for v in told if v["impact"] in SERIOUS] == []
+
+
+def test_the_list_of_pages_leads_to_each(visit: Callable[..., Visit]) -> None:
+    found = visit("")
+    for page in OWN:
+        link = found.page.locator(f".pages a[href^='/{page}?']")
+        assert link.count() == 1
+    link.click()
+    wait(found.page, READY)
+    assert found.page.title().startswith("Flashcards")
+
+
+def test_a_session_stays_below_300_kb(visit: Callable[..., Visit]) -> None:
+    found = visit("contact")
+    for _ in range(30):
+        found.again(lambda: found.page.press("#lam", "ArrowLeft"))
+    assert found.bytes < 300_000
+
+
+# -- by keyboard alone -------------------------------------------------------------------------------------------------
+def test_the_contact_page_by_keyboard(visit: Callable[..., Visit]) -> None:
+    found = visit("contact")
+    page, reached = found.page, []
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id || document.activeElement.textContent.trim()"))
+        if page.evaluate("document.activeElement.dataset.which") == "5":
+            break
+    order = ["profile", "t", "spacing", "every", "occluded", "eta", "redraw", "method", "lam"]
+    assert [one for one in reached if one in order] == order
+    shown = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert shown == "solid"
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#outcome:not([hidden])")
+    assert "71.5 % against 32.4 %" in found.text("#outcome")
+    for _ in range(3):  # the steps that show it lie next: the third is at lambda = 1
+        page.keyboard.press("Tab")
+    found.again(lambda: page.keyboard.press("Enter"))
+    wait(page, "document.querySelector('#errors dd').textContent.startsWith('71.5')")
+    assert (found.number("error of the resultant"), found.number("error of the map")) == ("71.5 %", "32.4 %")
+
+
+def test_a_slider_tells_its_value_and_moves_the_picture(visit: Callable[..., Visit]) -> None:
+    found = visit("contact")
+    before = found.page.get_attribute("#map svg[role=img] path.estimate", "d")
+    found.again(lambda: found.page.press("#lam", "Home"))
+    assert found.page.get_attribute("#lam", "aria-valuetext") == "1e−8"
+    assert found.page.inner_text("output[for=lam]") == "1e−8"
+    wait(found.page, "document.querySelector('#map .note').textContent.includes('leaves the picture')")
+    assert found.page.get_attribute("#map svg[role=img] path.estimate", "d") != before
+    wait(found.page, "document.querySelector('#said').textContent.includes('off, map')")
+
+
+def test_the_l_curve_page_by_click_and_by_keyboard(visit: Callable[..., Visit]) -> None:
+    found = visit("lcurve")
+    page = found.page
+    assert "σ₁ = 0.8146, σ₄₈ = 5.97e−7, condition number 1.36e6" in found.text("#singular")
+    box = page.locator("#lplot svg[role=img]").bounding_box()
+    found.again(lambda: page.mouse.click(box["x"] + 75, box["y"] + 30))
+    assert float(page.input_value("#lam")) < -3
+    page.focus("#jumps button")
+    found.again(lambda: page.keyboard.press("Enter"))
+    wait(page, "document.querySelector('output[for=lam]').textContent === '0.0309'")
+    found.again(lambda: page.press("#correlated", "Space"))
+    wait(page, "document.querySelector('#draws').textContent.includes('correlated noise')")
+    assert re.search(r"GCV 1e−6 \(error 9\.\d+ times", found.text("#draws"))
+    assert page.locator("#rules tr", has_text="oracle").count() == 1
+
+
+def test_cards_are_kept_and_come_back(visit: Callable[..., Visit]) -> None:
+    found = visit("cards")
+    page = found.page
+    first = found.text("#question")
+    page.keyboard.press(" ")
+    page.wait_for_selector("#answer:not([hidden])")
+    assert "5.97" in found.text("#answer") or "6.0e-7" in found.text("#answer")
+    page.keyboard.press("3")
+    wait(page, f"document.querySelector('#question').textContent !== {json.dumps(first)}")
+    page.keyboard.press(" ")
+    page.wait_for_selector("#answer:not([hidden])")
+    page.keyboard.press("1")
+    kept = json.loads(page.evaluate("localStorage.getItem('loadid-lab-cards')"))
+    assert {(k, round(v["days"])) for k, v in kept.items()} == {("smoothing", 1), ("half-width", 0)}
+    assert kept["smoothing"]["due"] == pytest.approx(1000 * (time.time() + 86400), abs=60_000)
+    page.reload()
+    wait(page, READY)
+    assert found.number("due") == "52"
+    page.evaluate("""() => { const kept = JSON.parse(localStorage.getItem('loadid-lab-cards'));
+        kept.smoothing.due = Date.now() - 1; localStorage.setItem('loadid-lab-cards', JSON.stringify(kept)); }""")
+    page.reload()
+    wait(page, READY)
+    assert found.number("due") == "53"
+    page.select_option("#topic", "shortcut")
+    assert found.number("cards") == "5"
+
+
+def test_colour_is_not_the_only_carrier(visit: Callable[..., Visit]) -> None:
+    found = visit("lcurve")
+    marks = found.page.evaluate("""() => [...document.querySelectorAll('#lplot figcaption path')]
+        .map(p => `${p.getAttribute('d')} ${getComputedStyle(p).strokeDasharray} ${p.classList.contains('solid')}`)""")
+    assert len(marks) == 13
+    assert len(set(marks)) == len(marks)
+    for one, other in (("#load path.truth", "#load path.estimate"), ("#gcvplot path.other1", "#gcvplot path.truth")):
+        dashes = {
+            found.page.evaluate(f"getComputedStyle(document.querySelector('{s}')).strokeDasharray")
+            for s in (one, other)
+        }
+        assert len(dashes) == 2
+
+
+# -- when things go wrong ----------------------------------------------------------------------------------------------
+def test_a_refusal_and_a_dead_server_are_told_on_the_page(browser: Any) -> None:
+    lab = Lab(pages()).start()
+    found = Visit(lab, browser, "contact")
+    found.page.evaluate("document.querySelector('#t').max = 9; document.querySelector('#t').value = 9")
+    found.again(lambda: found.page.dispatch_event("#t", "input"))
+    assert "out of range" in found.text("#fault")
+    found.page.evaluate("document.querySelector('#t').value = 0.1")
+    found.again(lambda: found.page.dispatch_event("#t", "input"))
+    assert found.page.is_hidden("#fault")
+    lab.close()
+    found.page.wait_for_timeout(100)
+    found.again(lambda: found.page.press("#lam", "Home"))
+    wait(found.page, "!document.querySelector('#fault').hidden")
+    found.context.close()
+
+
+def test_without_javascript_the_page_says_what_it_needs(lab: Lab, browser: Any) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(lab.page("contact"))
+    assert "need JavaScript" in page.inner_text("noscript")
+    context.close()
+
+
+def test_a_browser_that_cannot_run_the_script_is_told_so(lab: Lab, browser: Any) -> None:
+    context = browser.new_context(reduced_motion="reduce")
+    page = context.new_page()
+    page.route("**/lab.js", lambda route: route.abort())
+    page.goto(lab.page("contact"))
+    page.wait_for_selector("#old", state="visible", timeout=20_000)
+    assert "2021 or later" in page.inner_text("#old")
+    context.close()
