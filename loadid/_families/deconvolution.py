@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
-from . import histories, local_variance
+from . import detection, histories, local_variance
 from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_record, over_time, undetermined
 from .data import Data, gather
 from .histories import facts as pushing_facts
@@ -166,8 +166,10 @@ class Deconvolution:
         if fit.offsets is not None:
             found = replace(found, facts=Facts.of({**found.facts, "offsets": fit.offsets.words(data)}))
         states = cache(lambda: self._over_states(posed, data))
-        local = local_variance.learned(posed, self.settings, found.load, states)
-        found = local_variance.replaced(found, local, choice, data.dt)
+        anywhere = partial(on_states, self.model, data, replace(self.settings, support=None))
+        local = local_variance.learned(posed, self.settings, found.load, states, anywhere)
+        acting = self.settings.acting(len(found.load), data.dt)
+        found = local_variance.replaced(found, local, choice, data.dt, acting)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
         if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
@@ -175,6 +177,9 @@ class Deconvolution:
             found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.unasked and len(found.load) <= local_variance.LONGEST:
             found = local_variance.widened(found, states(), choice)
+        if not prior:  # what was learned of hits is told by its evidence
+            nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
+            found = replace(found, not_told=nothing)
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),

@@ -12,6 +12,7 @@ from structures._advice import Advice, Option
 from structures._flags import Evidence, Flag
 from structures.errors import InputError, NotIdentifiable
 
+from .._inverse.diagnosis.detection import CHANCE
 from .._inverse.diagnosis.identifiability import Refinement, Start
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
@@ -86,6 +87,16 @@ def recoverable(plateau: int, rank: int, edf: float | None = None, requested: fl
         "W304",
         Evidence(name, float(value), float(plateau)),
         f"i* = {plateau} recoverable modes of {rank}; {tail}",
+    )
+
+
+def not_told(chance: float, least: str) -> Flag:
+    """W318: noise alone explains as much with this chance; `least` in words are the loads that would have been told."""
+    return Flag(
+        "W318",
+        Evidence("chance that noise alone explains as much", float(chance), CHANCE),
+        f"no load is told from noise: {least} would have been (95 %)",
+        effect=1.0,
     )
 
 
