@@ -141,8 +141,7 @@ def _parser() -> _Parser:
     parser = _Parser(
         prog="loadid",
         description="Reconstruct applied loads, with their uncertainty, from measured responses.",
-        epilog="exit codes: 0 done, 1 answered, but the answer is not to be used (identify: grade D; doctor: a broken "
-        "installation), 2 usage, 3 bad input, 4 refused as not identifiable",
+        epilog="exit codes: 0 done, 1 answered but not to be used, 2 usage, 3 bad input, 4 refused as not identifiable",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"loadid {__version__}")

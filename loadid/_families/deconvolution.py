@@ -45,6 +45,8 @@ PROCESS = (
     "an integrated random walk in time",
 )  # which a penalty on differences of that order is the prior of
 
+MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
+
 
 class Deconvolution:
     """Load histories from response histories.
@@ -180,6 +182,7 @@ class Deconvolution:
         if not prior:  # what was learned of hits is told by its evidence
             nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
             found = replace(found, not_told=nothing)
+        found = replace(found, flags=guards.collect([self._missed(found, data, anywhere), *found.flags]))
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
@@ -221,6 +224,20 @@ class Deconvolution:
 
     def _over_states(self, posed: Posed, data: Data) -> Posed | None:
         return posed if posed.record is not None else on_states(self.model, data, self.settings)
+
+    def _missed(self, found: SolvedLoad, data: Data, anywhere: Callable[[], Posed | None]) -> Flag | None:
+        """W319: the windows of the load leave what a load at another time explains."""
+        acting = self.settings.acting(len(found.load), data.dt)
+        rest, size = (float(np.linalg.norm(np.asarray(x))) for x in (found.residual, found.response))
+        if acting is None or (found.excess is None and not rest > MUCH * size):
+            return None
+        if (whole := anywhere()) is None:
+            return None
+        choice = self._choose(whole)
+        load = whole.path.solution(choice.lam, None).load
+        left = float(np.linalg.norm(whole.compare(load, choice.lam, None)[1]))
+        assert self.settings.support is not None
+        return histories.missed(load, acting, data.dt, self.settings.support, rest / max(left, np.finfo(float).tiny))
 
     def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
         """What the sensors tell of each other: of whole records that start at rest, as h says they do."""

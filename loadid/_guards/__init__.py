@@ -37,6 +37,7 @@ from .inversion import (
     refined,
     resolution,
     unfinished,
+    window_missed,
 )
 from .measurement import (
     contradicting,
@@ -61,4 +62,5 @@ __all__ = [
     "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_testable",
     "not_told", "not_verified", "null_space", "over_smoothed", "overridden", "parameter", "pulling", "recoverable",
     "refined", "resolution", "resultant_only", "stopped", "unexplained", "unfinished", "used_for_training",
+    "window_missed",
 ]  # fmt: skip
