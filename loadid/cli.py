@@ -24,8 +24,8 @@ GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
-    "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "track", "batch", "serve",
-    "convert", "doctor",
+    "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "vibration", "track",
+    "batch", "serve", "convert", "doctor",
     "completion",
 )  # fmt: skip
 

@@ -249,7 +249,7 @@ class Drives(ReadOnly):
 
     @property
     def over(self) -> Real:
-        """dB by which these drives pass each limit, on the worst line or over all of them; 0 where they keep it."""
+        """How far these drives pass each limit in dB, on the worst line or over all of them; 0 where they keep it."""
         if not self.limits:
             return np.zeros(0)
         caps, power = self._caps(), self._caps().power(self._power())
