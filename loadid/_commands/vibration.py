@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Mapping
@@ -121,8 +122,9 @@ def _lines(job: Mapping[str, Any], plan: PlanReader) -> Any:
         return None
     table = plan.table(job, "lines")
     plan.known(table, "lines", "lines")
-    low, high, step = (table.get(name) for name in NAMES["lines"])
-    if not (is_number(low) and is_number(high) and is_number(step)) or not 0 < low < high or not 0 < step <= high - low:
+    ends: list[Any] = [table.get(name) for name in NAMES["lines"]]
+    low, high, step = (float(x) if is_number(x) else math.nan for x in ends)
+    if not (0 < low < high and 0 < step <= high - low):
         plan.refused("lines", table, "{from, to, step} in Hz, 0 < from < to, step > 0")
     return low + step * np.arange(int((high - low) / step + 1e-9) + 1)
 
@@ -137,11 +139,12 @@ def _limit(one: Mapping[str, Any], plan: PlanReader) -> Limit:
     from ..vibration import Limit
 
     channel = plan.text(one, "channel", "[[limit]]")
-    given = {name: one[name] for name in ("rms", "density", "amplitude") if name in one}
-    unit = one.get("unit")
+    given: dict[str, Any] = {name: one[name] for name in ("rms", "density", "amplitude") if name in one}
     if "frequencies" in one:
-        return Limit(channel, **{name: _profile(one, plan, "limit", value) for name, value in given.items()})
-    return Limit(channel, unit=unit, **given)
+        given = {name: _profile(one, plan, "limit", value) for name, value in given.items()}
+    elif "unit" in one:
+        given["unit"] = plan.text(one, "unit", "[[limit]]")
+    return Limit(channel, **given)
 
 
 def _field(job: Mapping[str, Any], plan: PlanReader, model: Model, lines: Any) -> Any:

@@ -276,6 +276,22 @@ def test_what_is_missing_is_a_matter_of_usage(run: Any) -> None:
 
 
 # -- compare -----------------------------------------------------------------------------------------------------------
+def test_what_takes_long_is_left_out_and_said(
+    run: Any, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("loadid._commands.compare.LARGE", 10)
+    words = ("compare", "log.csv", "--model", "model.h5")
+    code, out, err = run(*words, "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    assert {"spikes", "B-splines", "tracker"} < set(told["left_out"])
+    assert not {"spikes", "B-splines", "tracker"} & {row["name"] for row in told["families"]}
+    assert all(row["criterion"] is None for row in told["families"])
+    said = run(*words, "--families", "deconvolution")[1]
+    assert "band: rms std over the rms of the load" in said
+    assert "--all asks them" in said
+
+
 def test_families_and_rules_in_one_table(run: Any, tmp_path: Path, folder: Path) -> None:
     few = "deconvolution,first difference,tracker"
     page, picture = tmp_path / "page.html", tmp_path / "loads.png"

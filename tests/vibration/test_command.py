@@ -93,6 +93,7 @@ def test_a_field_record_stands_for_the_target(folder: Path, capsys: pytest.Captu
         (('unit = "g^2/Hz"\n[[limit]]', "[[limit]]"), "unit of [[target]]"),
         (('sensors = ["a1", "a2", "a3"]', 'sensors = ["b1"]'), "b1"),
         (("rms = 3.0", "rms = -3.0"), "shaker 1"),
+        (("[[target]]", "lines = {from = 60, to = 50, step = 1}\n[[target]]"), "0 < from < to"),
     ],
 )
 def test_a_job_that_is_wrong_is_refused(folder: Path, edit: tuple[str, str], says: str,
