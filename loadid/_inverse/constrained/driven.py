@@ -363,16 +363,18 @@ def _block(goal: Goal, Q: Complex, plain: Complex, R: Complex, k: int) -> _Block
         weigh = np.einsum("jab,ac,icd,bd->ji", basis.conj(), M, basis, M.conj(), optimize=True).real
     semi = [clarabel.PSDTriangleConeT(2 * n)]
     if goal.target is not None:
-        P, equal, rest = _residuals(1.0, weigh, dear, 0)
+        B = np.concatenate([weigh / ROOT2, dear]) if limited else dear
+        P, equal, rest = _residuals(0.0 if limited else 1.0, B, m, 0)
         A = sparse.vstack([equal, sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), rest))])], format="csc")
         q = np.r_[-(weigh.T @ aim), np.zeros(rest)]
-        return _Block(P, q, A, np.zeros(A.shape[0]), [clarabel.ZeroConeT(1), *semi])
+        return _Block(P, q, A, np.zeros(A.shape[0]), [clarabel.ZeroConeT(len(B)), *semi])
     # autospectra alone: p = G y, t p >= 1 by a second-order cone, and what errors of the FRF make of p by rows r = B y
     G, B = _powers(goal, back, k)
-    B, sensors = np.asarray(np.linalg.qr(np.concatenate([B, dear]), mode="r"), float), len(G)
+    rows, sensors = [B, dear, *([np.sqrt(LIKE) * weigh] if limited else [])], len(G)
+    B = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"), float)
     # p / size and size t are unknowns of the size of one
     size = np.minimum(1.0, G[:, :n].sum(axis=1)) if limited else np.ones(sensors)
-    P, equal, rest = _residuals(2 * LIKE, weigh, B, sensors)
+    P, equal, rest = _residuals(0.0 if limited else 2 * LIKE, B, m, sensors)
     q = np.concatenate([G.sum(axis=0) - 2 * LIKE * (weigh.T @ aim), 1 / size, np.zeros(len(B))])
     hyper = np.zeros((3 * sensors, m + rest))
     for i in range(sensors):  # (t + p, t - p, 2) in the cone
@@ -401,12 +403,11 @@ def _normalised(H: Complex) -> Complex:
     return np.asarray(rows @ rows.conj().T)
 
 
-def _residuals(weight: float, weigh: Real, B: Real, between: int) -> tuple[Any, Any, int]:
-    """P and rows for ``weight |weigh y|^2 / 2 + |r|^2`` with r = B y; unknowns y, others, r; how many follow y."""
+def _residuals(weight: float, B: Real, m: int, between: int) -> tuple[Any, Any, int]:
+    """P and rows for ``weight |y|^2 / 2 + |r|^2`` with r = B y; unknowns y, others, r; how many follow y."""
     from scipy import sparse
 
-    own, rest = sparse.csc_matrix(weight * weigh.T @ weigh), np.r_[np.zeros(between), np.full(len(B), 2.0)]
-    P = sparse.triu(sparse.block_diag([own, sparse.diags(rest)]), format="csc")
+    P = sparse.diags(np.concatenate([np.full(m, weight), np.zeros(between), np.full(len(B), 2.0)]), format="csc")
     return P, sparse.csc_matrix(np.hstack([B, np.zeros((len(B), between)), -np.eye(len(B))])), between + len(B)
 
 
