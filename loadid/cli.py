@@ -24,8 +24,8 @@ GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
-    "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "track", "batch", "serve",
-    "convert", "guide", "doctor", "lab",
+    "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "vibration", "track",
+    "batch", "serve", "convert", "guide", "doctor", "lab",
     "completion",
 )  # fmt: skip
 
@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done, 2 usage, 3 bad input, 4 refused as not identifiable.
+        0 done, 1 answered but not to be used, 2 usage, 3 bad input, 4 refused as not identifiable.
     """
     argv = list(sys.argv[1:] if argv is None else argv)
     if argv[:1] == ["--version"]:  # before anything else is imported
@@ -141,7 +141,7 @@ def _parser() -> _Parser:
     parser = _Parser(
         prog="loadid",
         description="Reconstruct applied loads, with their uncertainty, from measured responses.",
-        epilog="exit codes: 0 done, 2 usage, 3 bad input, 4 refused as not identifiable",
+        epilog="exit codes: 0 done, 1 answered but not to be used, 2 usage, 3 bad input, 4 refused as not identifiable",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"loadid {__version__}")

@@ -34,10 +34,12 @@ if TYPE_CHECKING:
     from structures._models.tabulated import FrfModel
 
     from .._record import Record
+    from .._results.estimate import LoadEstimate
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")
 NONE = "none"
+NOT_USABLE = 1  # exit code of an answer that is not to be used
 FIT_OPTIONS = ("prior", "noise", "lag", "replay", "scales", "model_error", "start", "gate", "allow_drift")  # of `track`
 PICTURES = ("--plot",)  # options whose suffix names the format
 WRITTEN = {"-o": (".h5", ".hdf5"), "--state": (".h5", ".hdf5"), "--report": (".html", ".htm")}  # suffixes of outputs
@@ -58,7 +60,7 @@ class Command:
     configure : callable
         Adds the arguments to a parser.
     run : callable
-        Does the work and returns the exit code; raises InputError (exit 3) or NotIdentifiable (exit 4).
+        Does the work and returns the exit code, 0 or `NOT_USABLE`; raises InputError (exit 3) or NotIdentifiable (4).
     """
 
     name: str
@@ -78,6 +80,11 @@ def emit(args: Namespace, data: Any, text: str) -> None:
         print(printable(json.dumps(plain(data), allow_nan=False, ensure_ascii=False)))
     elif not getattr(args, "hushed", False):
         print(printable(text))
+
+
+def exit_code(estimate: LoadEstimate | None) -> int:
+    """0 of an answer that may be used, `NOT_USABLE` of one with the worst grade, which is written and printed too."""
+    return 0 if estimate is None or estimate.grade.usable else NOT_USABLE
 
 
 def say(text: str, *, aside: bool = False) -> None:

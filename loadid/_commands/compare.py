@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError, NotIdentifiable
 from structures.files import _storage as storage
 
+from .._results.summary import Z95
 from . import (
     Bar,
     Command,
@@ -56,6 +57,7 @@ HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, set
     "tracker": ("tracker", {"prior": "matern32"}, "matern32"),
     "frequency lines": ("frequency", {"signal": "transient"}, ""),
 }
+SLOW, LARGE = ("spikes", "B-splines", "tracker"), 2000  # families that a record with more unknowns leaves out
 STATICS: dict[str, tuple[str, dict[str, Any], str]] = {
     name: ("static", {"penalty": name}, "") for name in ("identity", "gradient", "laplacian", "second_difference")
 }
@@ -128,6 +130,8 @@ class RecordComparison:
         How far the rules agree.
     estimates : dict of str to LoadEstimate
         Of those that answered.
+    left_out : tuple of str
+        What was not asked, as it takes long on so many unknowns.
     """
 
     load: str
@@ -136,13 +140,15 @@ class RecordComparison:
     rules: tuple[RuleRow, ...]
     verdict: str
     estimates: dict[str, LoadEstimate]
+    left_out: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return "\n".join([*self._tables()])
 
     def _tables(self) -> list[str]:
         kept = f", kept out: {', '.join(self.kept_out)}" if self.kept_out else ""
-        said = [f"families, {self.load}{kept}", table([list(FAMILY_HEAD), *map(_family_cells, self.families)])]
+        said = [f"families, {self.load}{kept}", table([list(FAMILY_HEAD), *map(_family_cells, self.families)]), LEGEND]
+        said += [self.omitted] if self.left_out else []
         said += [f"refused: {r.name}: {r.refused}" for r in self.families if r.refused]
         if self.rules:
             said += [
@@ -151,20 +157,34 @@ class RecordComparison:
             ]
         return said
 
+    @property
+    def omitted(self) -> str:
+        """What was left out, and how it is asked for, in words; "" where nothing was."""
+        if not self.left_out:
+            return ""
+        return f"left out, as they take long beyond {LARGE} unknowns: {', '.join(self.left_out)}; --all asks them"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain lists, texts and numbers."""
         return {
             "load": self.load, "kept_out": list(self.kept_out), "verdict": self.verdict,
             "families": [asdict(row) for row in self.families], "rules": [asdict(row) for row in self.rules],
+            "left_out": list(self.left_out),
         }  # fmt: skip
 
 
-FAMILY_HEAD = ("family", "peak", "± std", "impulse", "band", "fit", "held out", "criterion", "CPU s")
+FAMILY_HEAD = ("family", "peak", "± 95 %", "impulse", "band", "fit", "held out", "criterion", "CPU s")
+LEGEND = (
+    "  ± 95 %: half the 95 % band at the peak; band: rms std over the rms of the load; fit: rms residual over the rms\n"
+    "  of the response; held out: largest relative error of the sensors that were kept out and predicted; criterion:\n"
+    "  that of the prior above the best"
+)
 RULE_HEAD = ("rule", "lambda", "edf", "residual", "peak", "note")
 
 
 def _family_cells(row: FamilyRow) -> list[str]:
-    return [row.name, _short(row.peak), _short(row.std), _short(row.impulse), _share(row.band), _share(row.fit),
+    half = None if row.std is None else Z95 * row.std
+    return [row.name, _short(row.peak), _short(half), _short(row.impulse), _share(row.band), _share(row.fit),
             _share(row.held_out), _short(row.criterion), _short(row.cost)]  # fmt: skip
 
 
@@ -188,6 +208,7 @@ def compare(
     families: Sequence[str] | None = None,
     validation: Sequence[str] | None = None,
     noise: Any = None,
+    everything: bool = False,
     progress: Callable[[float, str], None] | None = None,
     **reading: Any,
 ) -> RecordComparison:
@@ -202,6 +223,9 @@ def compare(
     validation : sequence of str, optional
         Sensors that are kept out and predicted; default the last one, where there are more sensors than loads.
     noise : float, list or mapping of sensor to std, optional
+    everything : bool
+        Ask `SLOW` families and the criteria of the priors however many unknowns there are; without it, and without
+        `families`, a record of more than `LARGE` unknowns leaves them out.
     progress : callable, optional
     **reading
         As for `loadid.read`.
@@ -226,14 +250,18 @@ def compare(
             raise InputError("no such family for these data", where="families", found=repr(name)[:80],
                              expected=", ".join(every))  # fmt: skip
     chosen = {name: every[name] for name in families or every}
+    long = kind == "history" and len(record.values) * len(known.loads) > LARGE and not everything
+    slow = [name for name in chosen if name in SLOW] if long and not families else []
+    chosen = {name: one for name, one in chosen.items() if name not in slow}
     labels = [s.label for s in known.sensors]
     kept = list(validation) if validation is not None else labels[-1:] if len(labels) > len(known.loads) else []
     record = responses_of(record, known, None)
     told = progress or (lambda fraction, text: None)
-    criteria = _criteria(known, record, noise, labels) if kind == "history" else {}
+    told(0.01, "families" if slow else "priors (slow)")
+    criteria = _criteria(known, record, noise, labels) if kind == "history" and not long else {}
     rows, found = [], {}
     for k, (name, (family, own, prior)) in enumerate(chosen.items()):
-        told((k + 0.5) / (len(chosen) + 1), name)
+        told((k + 0.5) / (len(chosen) + 1), f"{name} (slow)" if name in SLOW else name)
         row, estimate = _row(name, family, own, known, record, kept, noise)
         if prior in criteria and not row.refused:
             row = FamilyRow(**{**asdict(row), "criterion": criteria[prior]})
@@ -245,7 +273,8 @@ def compare(
     first = next(iter(found.values()), None)
     load = "no family answered" if first is None else f"largest load ({first.units[0]})"
     told(1.0, "done")
-    return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found)
+    out = (*slow, *(["criteria of the priors"] if long else []))
+    return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found, out)
 
 
 def _row(
@@ -342,6 +371,9 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="PAGE.html|TABLE.h5", help="also write a page, or the numbers")
     parser.add_argument("--families", type=channels, metavar="NAME,...",
                         help=f"default all of the kind of the data: {', '.join(HISTORIES)}")  # fmt: skip
+    parser.add_argument("--all", action="store_true", dest="everything",
+                        help=f"ask the slow ones too ({', '.join(SLOW)}, and the criterion of each prior), which more "
+                        f"than {LARGE} unknowns (samples times loads) leave out")  # fmt: skip
     parser.add_argument("--validation", type=channels, metavar="CH,...",
                         help="sensors that are kept out and predicted; default the last, if one is spare")  # fmt: skip
     parser.add_argument("--noise", type=level, metavar="STD|CH=STD,...", help="noise std of the sensors in SI")
@@ -354,7 +386,8 @@ def _run(args: Namespace) -> int:
     require_outputs({"-o": args.output, "--plot": args.plot}, [args.log, args.model], suffixes={"-o": OUTPUTS})
     with Bar() as bar:
         found = compare(args.log, args.model, families=args.families, validation=args.validation, noise=args.noise,
-                        progress=bar, record=one_record(args), **settings(args))  # fmt: skip
+                        everything=args.everything, progress=bar, record=one_record(args),
+                        **settings(args))  # fmt: skip
     ready: list[tuple[str, bytes]] = []
     if args.plot is not None:
         ready.append((args.plot, _picture(found, args.plot)))
@@ -400,7 +433,9 @@ def _page(found: RecordComparison, log: str) -> str:
     kept = f"; kept out: {', '.join(found.kept_out)}" if found.kept_out else ""
     refused = [f"{row.name}: {row.refused}" for row in found.families if row.refused]
     sections = [
-        page.PageSection("Families", page.table([_family_cells(row) for row in found.families], FAMILY_HEAD)),
+        page.PageSection("Families", page.joined(
+            page.table([_family_cells(row) for row in found.families], FAMILY_HEAD),
+            page.paragraphs(" ".join(LEGEND.split()), *([found.omitted] if found.left_out else [])))),
         page.PageSection("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
         page.PageSection("Refused", page.paragraphs(*refused) if refused else ""),
         page.PageSection("Rules for lambda", page.joined(

@@ -22,6 +22,7 @@ from . import (
     add_log_options,
     channels,
     emit,
+    exit_code,
     load_model,
     one_record,
     require_outputs,
@@ -367,7 +368,7 @@ def _run(args: Namespace) -> int:
     ]
     answer = {**estimate.to_dict(arrays=args.json_full), "against_known": error, "written": written}
     emit(args, answer, "\n".join(lines))
-    return 0
+    return exit_code(estimate)
 
 
 def _own_job(args: Namespace) -> Path | None:
@@ -396,7 +397,7 @@ def _located(args: Namespace, job: Mapping[str, Any], found: LocationResult, kep
         lines.append(summary(found.estimate, details=args.details, command=True))
     full = {} if found.estimate is None else {"estimate": found.estimate.to_dict(arrays=args.json_full)}
     emit(args, {**found.to_dict(), **full, "written": written}, "\n".join([*lines, f"written: {', '.join(written)}"]))
-    return 0
+    return exit_code(found.estimate)
 
 
 def write_all(

@@ -43,6 +43,7 @@ from .noise import NoiseLevel
 
 if TYPE_CHECKING:
     from .data import Data, Readings
+    from .detection import NotTold
     from .posing.gathered import LineData
 
 Array = NDArray[Any]
@@ -89,6 +90,8 @@ class SolvedLoad:
         As in `LoadEstimate`.
     excess : float or None
         Residual over the stated noise, where noise alone never leaves so much.
+    not_told : NotTold or None
+        No load is told from noise.
     flags : tuple of Flag
         What solving found.
     unit : str
@@ -107,6 +110,7 @@ class SolvedLoad:
     geometry: Mapping[str, Any] | None = None
     diagnosis: Any = None
     excess: float | None = None
+    not_told: NotTold | None = None
     flags: tuple[Flag, ...] = ()
     unit: str = "{}"
 
@@ -251,6 +255,9 @@ def answer(
     if found.excess is not None:  # the worst grade, and said first
         raised = (guards.unexplained(choice, found.excess), *raised)
         choice = ungraded(choice)
+    elif found.not_told is not None:
+        raised = (found.not_told.flag, *raised)
+        found = replace(found, facts=Facts.of({**found.facts, **found.not_told.facts}))
     history = provenance(family.name, settings=settings, inputs=measured.inputs, model=model.fingerprint, prior=prior)
     return labelled(
         found, model.loads, measured.channels, choice=choice, flags=raised, allowed=family.allow,

@@ -158,14 +158,20 @@ class AutomaticInversion:
         def of(penalty: str) -> StaticInversion:
             return StaticInversion(self.model, penalty=penalty, **told)
 
-        taken, because = "identity", "static readings, and nothing says that neighbouring loads are alike"
+        taken = "identity"
+        because = ("static readings; no smooth field is tried: the loads know no places, constraints were given, or "
+                   f"fewer than {FEWEST} sensors are there to predict each other")  # fmt: skip
         if not told["constraints"] and self.model.basis is not None and len(given.rows) >= FEWEST:
             errors = {name: _foretold(of(name), given) for name in ("identity", *FIELDS)}
             best = min(errors, key=lambda name: errors[name])
+            told_of = ", ".join(f"{name} {error:.2g}" for name, error in errors.items())
+            because = (
+                f"static readings; tried by predicting each sensor from the others, errors over readings: {told_of}"
+            )
             if errors[best] < FORETOLD * errors["identity"]:
                 taken = best
-                because = (f"static readings; each sensor is predicted from the others to {errors[best]:.2g} of what "
-                           f"is read, by equal and independent loads to {errors['identity']:.2g}")  # fmt: skip
+            else:
+                because += "; a field that is smooth is not clearly better"
         return Chosen(of(taken).estimate(given), f"StaticInversion(penalty={taken!r})", because)
 
     def _history(self, found: Any, dt: float | None) -> Chosen:
@@ -179,21 +185,27 @@ class AutomaticInversion:
             )
         if self._asked:
             return Chosen(plain, "Deconvolution", "the plain prior, with which windows and constraints of a load go")
-        if variance != "constant" or not self._slow(found, dt, len(plain.load)):
-            return Chosen(plain, "Deconvolution", "the plain prior: nothing else is to be told from this record")
+        tried = (
+            "tried: the plain prior, and hits (a variance that changes with time), which the record does not ask for"
+        )
+        if variance != "constant":
+            return Chosen(plain, "Deconvolution", "the plain prior, the only one that this model takes")
+        if lacking := self._lacking(found, dt, len(plain.load)):
+            return Chosen(plain, "Deconvolution", f"the plain prior; {tried}; not tried: a load that is smooth, as "
+                          f"{lacking}")  # fmt: skip
         try:
             smooth = Deconvolution(
                 self.model, penalty=Penalty(variance="smooth"), **told, progress=self._part(0.5, 1.0)
             ).estimate(found, dt)
         except (InputError, NotIdentifiable):  # no states, or too many: the plain prior stands
-            return Chosen(plain, "Deconvolution", "the plain prior: the model carries no other")
+            return Chosen(plain, "Deconvolution", f"the plain prior; {tried}; a load that is smooth was refused")
         own, other = stated(plain), stated(smooth)
         memory = f"a load that is smooth over {smooth.facts['memory']:g} samples"
         if other < min(SURE, SMALLER * own):
             return Chosen(smooth, "Deconvolution(penalty=Penalty(variance='smooth'))", f"the load acts throughout, and "
                           f"{memory} states an error of {other:.1%}, the plain prior {own:.1%}")  # fmt: skip
-        return Chosen(plain, "Deconvolution", f"the plain prior: it states an error of {own:.1%}, {memory} "
-                      f"{other:.1%}, which is not clearly better")  # fmt: skip
+        return Chosen(plain, "Deconvolution", f"the plain prior; {tried}, and {memory}, which states an error of "
+                      f"{other:.1%} where the plain prior states {own:.1%}: not clearly better")  # fmt: skip
 
     # -- inside -----------------------------------------------------------------------------------------------------
     @property
@@ -201,26 +213,31 @@ class AutomaticInversion:
         """Something was asked for that holds with the plain prior alone."""
         return self.histories["support"] is not None or bool(_listed(self.histories["constraints"]))
 
-    def _slow(self, found: Any, dt: float | None, samples: int) -> bool:
-        """Whether a process over states can be learned, and the sensors see constant loads and tell them apart.
+    def _lacking(self, found: Any, dt: float | None, samples: int) -> str:
+        """Why no smooth load is tried, in words; "" where one is.
 
-        A load that is smooth has a slow part, which small noise would fit to errors of the model where they do not.
+        A process over states must be learned, by sensors that see constant loads and tell them apart: a load that is
+        smooth has a slow part, which small noise would fit to errors of the model where they do not.
         """
         model = self.model
-        if model.sampled or model.moving or not model.gives("state_space") or samples > LONGEST:
-            return False
+        if model.sampled or model.moving or not model.gives("state_space"):
+            return "the model has no fixed states to learn one over"
+        if samples > LONGEST:
+            return f"the record is longer than {LONGEST} samples"
         data = gather(found, dt, model, self.common["sensors"], allow_missing=True)
+        unseen = "no sensor sees the constant part of a load (a displacement or a strain would)"
         try:
             static = np.asarray(model.static()[data.rows], float)
         except (InputError, NotIdentifiable):
-            return False
+            return unseen
         hold = str(self.histories["hold"] or model.default_hold)
         h = model.impulse_response(data.dt, len(data.values), hold)
         whole = np.maximum(np.sum(np.abs(h[:, data.rows]), axis=0), np.finfo(float).tiny)
         if not np.all(np.max(np.abs(static) / whole, axis=0) >= UNSEEN):
-            return False
+            return unseen
         rows = static / np.maximum(np.linalg.norm(static, axis=1, keepdims=True), np.finfo(float).tiny)
-        return bool(np.linalg.cond(rows / np.linalg.norm(rows, axis=0)) <= MIXED)
+        apart = np.linalg.cond(rows / np.linalg.norm(rows, axis=0)) <= MIXED
+        return "" if apart else "the sensors do not tell constant loads at these places apart"
 
     def _allowed(self, *fields: str) -> Guards:
         """The guards without the fields that a family does not know."""

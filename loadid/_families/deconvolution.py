@@ -31,7 +31,7 @@ from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
-from . import histories, local_variance
+from . import detection, histories, local_variance
 from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_record, over_time, undetermined
 from .data import Data, gather
 from .histories import facts as pushing_facts
@@ -46,6 +46,8 @@ PROCESS = (
     "a random walk in time",
     "an integrated random walk in time",
 )  # which a penalty on differences of that order is the prior of
+
+MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
 
 
 class Deconvolution:
@@ -172,8 +174,10 @@ class Deconvolution:
         if fit.offsets is not None:
             found = replace(found, facts=Facts.of({**found.facts, "offsets": fit.offsets.words(data)}))
         states = cache(lambda: self._over_states(posed, data))
-        local = local_variance.learned(posed, self.settings, found.load, states)
-        found = local_variance.replaced(found, local, choice, data.dt)
+        anywhere = partial(on_states, self.model, data, replace(self.settings, support=None))
+        local = local_variance.learned(posed, self.settings, found.load, states, anywhere)
+        acting = self.settings.acting(len(found.load), data.dt)
+        found = local_variance.replaced(found, local, choice, data.dt, acting)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
         if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
@@ -181,6 +185,10 @@ class Deconvolution:
             found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.unasked and len(found.load) <= local_variance.LONGEST:
             found = local_variance.widened(found, states(), choice)
+        if not prior:  # what was learned of hits is told by its evidence
+            nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
+            found = replace(found, not_told=nothing)
+        found = replace(found, flags=guards.collect([self._missed(found, data, anywhere), *found.flags]))
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
@@ -248,6 +256,20 @@ class Deconvolution:
 
     def _over_states(self, posed: Posed, data: Data) -> Posed | None:
         return posed if posed.record is not None else on_states(self.model, data, self.settings)
+
+    def _missed(self, found: SolvedLoad, data: Data, anywhere: Callable[[], Posed | None]) -> Flag | None:
+        """W319: the windows of the load leave what a load at another time explains."""
+        acting = self.settings.acting(len(found.load), data.dt)
+        rest, size = (float(np.linalg.norm(np.asarray(x))) for x in (found.residual, found.response))
+        if acting is None or (found.excess is None and not rest > MUCH * size):
+            return None
+        if (whole := anywhere()) is None:
+            return None
+        choice = self._choose(whole)
+        load = whole.path.solution(choice.lam, None).load
+        left = float(np.linalg.norm(whole.compare(load, choice.lam, None)[1]))
+        assert self.settings.support is not None
+        return histories.missed(load, acting, data.dt, self.settings.support, rest / max(left, np.finfo(float).tiny))
 
     def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
         """What the sensors tell of each other: of whole records that start at rest, as h says they do."""

@@ -25,6 +25,7 @@ from .._results.facts import Facts
 from .._results.functionals import LEVEL, LoadSpectrum, nearest_zeros
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Signal
+from . import detection
 from .answer import SolvedLoad, answer, of_lines, over_time
 from .data import rows_of
 from .posing.fitting import LineFit, LineRule, fit, judged
@@ -169,7 +170,9 @@ class FrequencyInversion:
         excess = float(np.sqrt(solved.unexplained))
         held = _held_out(solved, answered.spectrum.cross, kept_out, H)
         found = replace(answered, facts=self._facts(solved, line, held, spectrum, H[:, line.rows]),
-                        excess=excess if excess > CLEARLY else None)  # fmt: skip
+                        excess=excess if excess > CLEARLY else None,
+                        not_told=detection.of_lines(H[:, line.rows], line, self.model.loads,
+                                                            answered.unit))  # fmt: skip
         self._progress(1.0, "done")
         return answer(
             self, line, found, choice, known=line.known, settings=self._named_settings(line), prior=self._prior(),

@@ -23,6 +23,7 @@ from .._results.again import Again
 from .._results.estimate import Axis, LoadEstimate
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise
+from . import detection
 from . import smoothness as spatial
 from .answer import Amplitudes, answer, of_path, undetermined
 from .data import rows_of
@@ -146,7 +147,10 @@ class HarmonicInversion:
         )  # fmt: skip
         measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
         return answer(
-            self, measured, replace(found, geometry=None if self.basis is None else _geometry(self.basis)), choice,
+            self, measured,
+            replace(found, geometry=None if self.basis is None else _geometry(self.basis),
+                    not_told=detection.of_line(path, choice.lam, noise.sigma, self.H, noise.level, self.model.loads)),
+            choice,
             known=noise.known, searched=path, solved=path, free=self._free, settings=self._named_settings(noise),
             prior=f"in space {spatial.spatial_words(self.space, self.length)}",
             flags=[guards.null_space(path.m, self.unknowns, path.rank)],

@@ -216,3 +216,36 @@ def flags(solution: NonNegativeSolution, posed: Posed, choice: Choice, sigma: fl
             guards.stopped(solution, known, posed.path.m, CONVERGED),
         ]
     )
+
+
+# -- windows of a load that miss it ------------------------------------------------------------------------------------
+BETTER = 1.5  # residual with windows over that without, from which they miss the load
+LARGE = 0.25  # of the largest load, that belongs to a pulse
+CLOSE, MARGIN = 20, 5  # samples between two parts of a pulse, and to its sides
+PULSES = 3  # that are named
+
+
+def missed(load: Array, acting: Array, dt: float, windows: Sequence[tuple[float, float]], ratio: float) -> Flag | None:
+    """W319: windows leave `ratio` times the residual of the load (samples, loads) that is sought at all times.
+
+    Parameters
+    ----------
+    load : array, shape (samples, loads)
+        Without windows.
+    acting : array of bool, shape (samples,)
+        Inside the windows.
+    dt : float
+        Step in s.
+    windows : sequence of (float, float)
+        In s.
+    ratio : float
+    """
+    size = np.max(np.abs(load) / np.maximum(np.max(np.abs(load), axis=0), np.finfo(float).tiny), axis=1)
+    large = np.flatnonzero(size > LARGE)
+    if ratio < BETTER or not len(large):
+        return None
+    parts = np.split(large, np.flatnonzero(np.diff(large) > CLOSE) + 1)
+    parts = sorted(parts, key=lambda part: -float(np.sum(size[part] ** 2)))[:PULSES]
+    ends = sorted((max(int(p[0]) - MARGIN, 0) * dt, min(int(p[-1]) + MARGIN, len(load) - 1) * dt) for p in parts)
+    outside = float(np.sum(size[~acting] ** 2) / np.sum(size**2))
+    return guards.window_missed(ratio, outside, windows, ends)

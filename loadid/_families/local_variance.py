@@ -23,6 +23,7 @@ from .._inverse.local_prior import (
 )
 from .._inverse.nuisances import Marginal, linearised
 from .._inverse.posterior import WidenedPosterior
+from .._inverse.support import ActingPosterior
 from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
@@ -85,7 +86,10 @@ Priors: TypeAlias = Learned | Smooth | StationaryPrior | str | None
 """Both; a constant variance alone, of a load that acts throughout; why none was learned; none was to be learned."""
 
 
-def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None]) -> Priors:
+def learned(
+    posed: Posed, settings: PosingSettings, load: Array, states: Callable[[], Posed | None],
+    anywhere: Callable[[], Posed | None] = lambda: None,
+) -> Priors:  # fmt: skip
     """Both priors of a problem, that of constant variance alone where the load acts throughout, or why there is none.
 
     Parameters
@@ -96,6 +100,8 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         Under one constant variance.
     states : callable
         The same problem over the states of the model; None where it has none.
+    anywhere : callable
+        The same without the windows of the load.
     """
     if settings.penalty.variance == "local" and posed.spectrum is not None:
         return _over_lines(posed, posed.spectrum, load, asked=True)
@@ -112,6 +118,8 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         return None
     if why := _not_asked(settings, load, LONGEST if posed.spectrum is None else LONGEST_LINES):
         return why
+    if settings.support is not None:
+        return _in_windows(states(), anywhere)
     if spread(load) > IMPACTS:
         over = states() if len(load) <= LONGEST else None
         if over is None or over.record is None:
@@ -124,6 +132,22 @@ def learned(posed: Posed, settings: PosingSettings, load: Array, states: Callabl
         return "the model has no states to learn it over, or too many"
     prior = local_prior(over.record, stated=over.noise.known)
     return _with_errors(prior, over) if prior.asked_for else Learned(prior, over, False)
+
+
+def _in_windows(over: Posed | None, anywhere: Callable[[], Posed | None]) -> Priors:
+    """The local prior inside windows of the load, where the record asks for it there, or would without its windows.
+
+    Inside a window that is tight about a hit the load acts throughout: what tells a hit is the record as a whole.
+    """
+    if over is None or over.record is None:
+        return "a window of the load was given, and the model has no states to learn it over, or too many"
+    known = over.noise.known
+    prior = local_prior(over.record, stated=known)
+    if not prior.asked_for:
+        whole = anywhere()
+        if whole is None or whole.record is None or not local_prior(whole.record, stated=known).asked_for:
+            return "a window of the load was given, and no hit is told in it"
+    return _with_errors(prior, over)
 
 
 def _over_lines(posed: Posed, spectrum: Spectrum, load: Array, asked: bool = False) -> Learned | str:
@@ -149,9 +173,7 @@ def _with_errors(prior: LocalPrior, posed: Posed) -> Learned:
 
 def _not_asked(settings: PosingSettings, load: Array, longest: int) -> str:
     """Why a variance that changes with time is out of the question, before one is learned; "" where it is not."""
-    if settings.support is not None:
-        return "a window of the load was given"
-    if not settings.automatic:
+    if not settings.unasked:
         return "another prior, a lambda or a rule was asked for"
     if len(load) > longest:
         return f"beyond {longest} samples learning it costs more than the estimate; variance='local' learns it"
@@ -284,8 +306,16 @@ def _seen(prior: StationaryPrior | LocalLinesPrior, load: Array, dt: float) -> t
     return half_width(seen) * dt, float(np.clip(1 - seen[at[0]], 0.0, 1.0))
 
 
-def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> SolvedLoad:
-    """The answer with the load of the local prior, where that is used; the facts say which stands, and why."""
+def replaced(
+    found: SolvedLoad, learned: Priors, choice: Choice, dt: float, acting: NDArray[np.bool_] | None = None
+) -> SolvedLoad:
+    """The answer with the load of the local prior, where that is used; the facts say which stands, and why.
+
+    Parameters
+    ----------
+    acting : array, shape (samples,), optional
+        When the loads act; at other times they are zero.
+    """
     if isinstance(learned, StationaryPrior):
         return _between(_constant(found, THROUGHOUT), [learned])
     if learned is None:
@@ -307,6 +337,9 @@ def replaced(found: SolvedLoad, learned: Priors, choice: Choice, dt: float) -> S
         stationary = [prior.stationary] if isinstance(prior.stationary, StationaryPrior) else []
         return _between(replace(found, facts=Facts.of(facts)), [prior, *stationary])
     load, band, start = prior.posterior(prior.errors)
+    if acting is not None:
+        when = np.repeat(acting[:, None], load.shape[1], axis=1)
+        load, band = np.where(when, load, 0.0), ActingPosterior(band, when)
     response, residual = posed.compare(load, choice.lam, start)
     resolution, lost = _seen(prior, load, dt)
     facts |= {

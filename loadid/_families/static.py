@@ -26,7 +26,7 @@ from .._results.estimate import LoadEstimate
 from .._results.facts import STATIC, Facts
 from .._spellings import Progress, takes
 from ..settings import Absolute, ChoiceLike, Guards, Lambda, Noise, Penalty
-from . import smoothness
+from . import detection, smoothness
 from .answer import answer, of_path, of_static, prior_of, undetermined
 from .data import Readings, readings
 from .frozen import Calibration, Frozen, at_rest, calibrate, each_frame, freeze
@@ -248,7 +248,10 @@ class StaticInversion:
         )  # fmt: skip
         self._progress(1.0, "done")
         return answer(
-            self, given, replace(found, geometry=self.geometry, diagnosis=diagnosis), choice, known=posed.noise.known,
+            self, given,
+            replace(found, geometry=self.geometry, diagnosis=diagnosis,
+                    not_told=detection.of_readings(posed, choice.lam, self.model.loads)),
+            choice, known=posed.noise.known,
             searched=path, solved=path, full=posed.full, free=self.free, judged=not self.free,
             settings=self._settings(posed), prior=smoothness.words(self.penalty, self.basis),
             flags=self._flags(posed, choice, found.facts, diagnosis, self._biased(posed, choice, solution, sigma)),

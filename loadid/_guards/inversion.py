@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures._advice import Advice, Option
+from structures._advice import Advice, Option, Spelling
 from structures._flags import Evidence, Flag
 from structures.errors import InputError, NotIdentifiable
 
+from .._inverse.diagnosis.detection import CHANCE
 from .._inverse.diagnosis.identifiability import Refinement, Start
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
@@ -86,6 +87,37 @@ def recoverable(plateau: int, rank: int, edf: float | None = None, requested: fl
         "W304",
         Evidence(name, float(value), float(plateau)),
         f"i* = {plateau} recoverable modes of {rank}; {tail}",
+    )
+
+
+def not_told(chance: float, least: str) -> Flag:
+    """W318: noise alone explains as much with this chance; `least` in words are the loads that would have been told."""
+    return Flag(
+        "W318",
+        Evidence("chance that noise alone explains as much", float(chance), CHANCE),
+        f"no load is told from noise: {least} would have been (95 %)",
+        effect=1.0,
+    )
+
+
+def window_missed(
+    ratio: float, outside: float, windows: Sequence[tuple[float, float]], found: Sequence[tuple[float, float]]
+) -> Flag:
+    """W319: windows of a load leave `ratio` times the residual of a load at any time, which lies in `found` (s)."""
+
+    def said(pairs: Sequence[tuple[float, float]]) -> str:
+        return ", ".join(f"{1e3 * a:.4g} to {1e3 * b:.4g} ms" for a, b in pairs)
+
+    ends = [(round(a, 9), round(b, 9)) for a, b in found]
+    python = f"support={ends[0] if len(ends) == 1 else ends}"
+    words = " ".join(f"--support {a:g}:{b:g}" for a, b in ends)
+    return Flag(
+        "W319",
+        Evidence("residual with the windows over that without", float(ratio), 1.5),
+        f"the window ({said(windows)}) misses the load: without it the residual is {ratio:.3g} times smaller, and the "
+        f"load lies at {said(found)}, {outside:.0%} of its energy outside the window",
+        Advice("take the window that the data ask for (", Spelling(python, words), "), or none"),
+        effect=float(ratio),
     )
 
 

@@ -50,7 +50,7 @@ def held_back(free: NDArray[np.float64], held: NDArray[np.float64], bound: tuple
     return Flag(
         "W316",
         Evidence("rms error that the limits add, dB", after - before, COST),
-        f"limits hold the response back: {after:.2g} dB rms off the target, {before:.2g} without them "
+        f"limits hold the response back: {after:.2f} dB rms off the target, {before:.2f} without them "
         f"({'; '.join(bound[:4])})",
     )
 

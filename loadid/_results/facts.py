@@ -88,6 +88,10 @@ class Facts(Mapping[str, Any]):
         Constants of channels that no constant load moves, with std and unit, estimated with the load and taken off.
     held_out : tuple of str
         Prediction error of each sensor that was kept out.
+    told_from, told_from_throughout : tuple of float
+        Where no load is told from noise, of each load in its unit: the size from which it would have been in 95 % of
+        all cases (peak of a hit in a record, static load, amplitude, spectrum), and the rms of a wide-band load
+        throughout.
     window_bound : float
         Bound on the error of solving in windows, over the std.
     frequency, length, time_constant : float
@@ -138,6 +142,8 @@ class Facts(Mapping[str, Any]):
     held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")
     noise_share: float | None = fact("share of the variance at the peak that is noise (the rest is prior)")
     path: str | None = fact("solved by")
+    told_from: tuple[float, ...] | None = fact("told from noise from (SI)", shown=False)
+    told_from_throughout: tuple[float, ...] | None = fact("told from noise from, rms (SI)", shown=False)
     window_bound: float | None = fact("bound on the error of solving in windows / std")
     resolution_unit: str | None = fact(shown=False)
     noise_level: float | None = fact(shown=False)
@@ -283,7 +289,7 @@ MEANINGS = {
     "D": "not determined: do not use the number",
 }
 CUTS = (0.10, 0.30, 0.90)  # expected relative error between the grades
-CONTRADICTED = ("LID-W308", "LID-W412")  # the data speak against the answer itself
+CONTRADICTED = ("LID-W308", "LID-W318", "LID-W412")  # the data speak against the answer itself
 FEW, MANY = 2.5, 5.0  # degrees of freedom that explain so many times as many readings: a simple load, confirmed
 SHARES = {"A": "19 of 20", "B": "9 of 10", "C": "9 of 10", "D": "half"}  # of what `MEASURED` states
 
@@ -335,6 +341,11 @@ class Grade:
     def meaning(self) -> str:
         """What the letter stands for."""
         return MEANINGS[self.letter]
+
+    @property
+    def usable(self) -> bool:
+        """Whether the number may be used, for what the grade says it is good for: not of the worst grade."""
+        return self.letter != LETTERS[-1]
 
     def __str__(self) -> str:
         text = f"grade {self.letter} ({self.meaning})"

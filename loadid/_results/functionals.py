@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures._readonly import ReadOnly
 from structures.errors import InputError, plain, real
 
-from .summary import plus_minus
+from .summary import Z95, plus_minus
 
 if TYPE_CHECKING:
     from .estimate import LoadEstimate
@@ -186,7 +186,8 @@ class Functional:
     bias_limit: float | None = None
 
     def __str__(self) -> str:
-        text = f"{self.name} {plus_minus(self.value, self.std)} {self.unit}".rstrip()
+        half = None if self.std is None else Z95 * self.std
+        text = f"{self.name} {plus_minus(self.value, half)} {self.unit}".rstrip() + (" (95 % band)" if half else "")
         if self.bias_limit is not None:
             text += f", bias at most {self.bias_limit:.3g} {self.unit}".rstrip()
         return text

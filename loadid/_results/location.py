@@ -16,6 +16,7 @@ from structures.files import _storage as storage
 
 from .estimate import LoadEstimate, rebuilt
 from .facts import Facts, fact
+from .summary import Z95
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -190,9 +191,11 @@ class LocationResult:
                 continue
             spread = None if self.std is None else self.std[k]
             parts = [
-                f"{v:.4g}" if spread is None else f"{v:.4g} ± {spread[d]:.1g}" for d, v in enumerate(self.found[k])
+                f"{v:.4g}" if spread is None else f"{v:.4g} ± {Z95 * spread[d]:.1g}"
+                for d, v in enumerate(self.found[k])
             ]
-            said.append(f"({', '.join(parts)}) m, nearest candidate {self.labels[j]}")
+            band = "" if spread is None else " (95 % band)"
+            said.append(f"({', '.join(parts)}) m{band}, nearest candidate {self.labels[j]}")
         return tuple(said)
 
     @property

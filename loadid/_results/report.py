@@ -17,6 +17,7 @@ from .shown import label
 from .summary import (
     CAUTIONS,
     DISC95,
+    NOT_TOLD,
     OTHERS,
     UNEXPLAINED,
     Z95,
@@ -30,6 +31,7 @@ from .summary import (
     headline,
     impulses,
     noise,
+    not_told,
     notes,
     number,
     plus_minus,
@@ -110,6 +112,10 @@ def refused(e: LoadEstimate) -> Html:
 
 def _answer(e: LoadEstimate, rows: Rows) -> Html:
     """The largest load with its band and its grade; resultants, and a few others."""
+    if (nothing := not_told(e)) is not None:
+        said = _page.part("answer", "load", "none told from noise", "", e.grade.letter,
+                          f"grade {e.grade.letter} ({e.grade.meaning})")  # fmt: skip
+        return _page.joined(said, _page.paragraphs(nothing.message), _page.part("quiet", nothing.advice))
     first, *others = rows
     cards = [(r.name, f"{plus_minus(r.value, None if r.std is None else Z95 * r.std)} {r.unit}", "resultant, 95 % band")
              for r in e.resultants]  # fmt: skip
@@ -131,7 +137,7 @@ def _told(e: LoadEstimate) -> Rows:
     rows = []
     for peak, impulse in sorted(zip(e.peaks, impulses(e), strict=True), key=lambda pair: -abs(pair[0].value)):
         at = "" if peak.at is None or e.axis is None else f"peak at {along(e.axis, peak.at)}"
-        remark = " · ".join(x for x in (at, impulse, f"std ± {number(peak.std, 3)} {peak.unit}") if x)
+        remark = " · ".join(x for x in (at, impulse, f"std {number(peak.std, 3)} {peak.unit}") if x)
         rows.append((peak.label, f"{plus_minus(peak.value, wide * peak.std)} {peak.unit}", remark))
     return rows
 
@@ -157,7 +163,7 @@ def checked(e: LoadEstimate) -> Html:
 
 def cautions(e: LoadEstimate) -> Html:
     """The few cautions that are expected to matter most, and how many remarks there are besides."""
-    shown = [flag for flag in e.cautions if flag.code != UNEXPLAINED]
+    shown = [flag for flag in e.cautions if flag.code not in (UNEXPLAINED, NOT_TOLD)]
     few, rest = shown[:CAUTIONS], len(e.flags) - min(len(shown), CAUTIONS)
     more = f"{rest} more remark{'s' * (rest != 1)} below, under Flags" if rest else ""
     if not few:

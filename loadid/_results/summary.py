@@ -29,19 +29,20 @@ UNSTATED = ("unknown", "residual")
 NOISE = {"datasheet": "data sheet", "pre_trigger": "quiet part of the record", "quiet": "unloaded record"}
 Z95, DISC95 = 1.959963984540054, math.sqrt(-math.log(0.05))  # half-widths of 95 % bands, of numbers and of moduli
 UNEXPLAINED = "LID-W412"  # the load does not explain its data: said before all else
+NOT_TOLD = "LID-W318"  # no load is told from noise: said in place of the number
 
 
-def plus_minus(value: float, std: float | None) -> str:
-    """``"1003 ± 12"``: the value rounded where the second digit of its std stands."""
-    if std is None:
+def plus_minus(value: float, half: float | None) -> str:
+    """``"1003 ± 12"``: the value rounded where the second digit of half its band stands; in words ± is 95 %."""
+    if half is None:
         return f"{value:.4g}"
-    if not (std > 0 and math.isfinite(std) and math.isfinite(value)):
-        return f"{value:.4g} ± {std:.2g}"
-    places = 1 - math.floor(math.log10(std))
-    if abs(value) >= 1e5 or max(abs(value), std) < 1e-3:
-        digits = max(math.floor(math.log10(max(abs(value), std))) + places, 1)
-        return f"{value:.{digits}e} ± {std:.1e}"
-    return f"{round(value, places):.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
+    if not (half > 0 and math.isfinite(half) and math.isfinite(value)):
+        return f"{value:.4g} ± {half:.2g}"
+    places = 1 - math.floor(math.log10(half))
+    if abs(value) >= 1e5 or max(abs(value), half) < 1e-3:
+        digits = max(math.floor(math.log10(max(abs(value), half))) + places, 1)
+        return f"{value:.{digits}e} ± {half:.1e}"
+    return f"{round(value, places):.{max(places, 0)}f} ± {round(half, places):.{max(places, 0)}f}"
 
 
 def number(value: Any, digits: int = 4) -> str:
@@ -256,6 +257,11 @@ def refusals(estimate: LoadEstimate) -> list[str]:
     return [f"NOT TO BE USED: {f.message}" for f in estimate.flags if f.code == UNEXPLAINED]
 
 
+def not_told(estimate: LoadEstimate) -> Flag | None:
+    """The flag of an answer that tells no load from noise."""
+    return next((f for f in estimate.flags if f.code == NOT_TOLD), None)
+
+
 def headline(choice: Choice) -> str:
     """Which lambda was used, and what the agreement of the rules is worth."""
     text = f"relative lambda {choice.lam:.3g} ({choice.rule})"
@@ -278,13 +284,13 @@ def summary(estimate: LoadEstimate, *, details: bool = False, command: bool = Fa
     `command`: advice in the words of the command line.
     """
     refused = refusals(estimate)
-    shown = [f for f in cautions(estimate.flags) if f.code != UNEXPLAINED]
+    shown = [f for f in cautions(estimate.flags) if f.code not in (UNEXPLAINED, NOT_TOLD)]
     most = CAUTIONS - len(refused)
     lines = [*refused, *_first(estimate), f"state: {'; '.join([state(estimate), *notes(estimate)])}"]
     lines += [f"caution: {_caution(flag, command)}" for flag in shown[:most]]
     if details:
         return "\n".join([*lines, *_details(estimate, command)])
-    rest = len(estimate.flags) - len(shown[:most]) - len(refused)
+    rest = len(estimate.flags) - len(shown[:most]) - len(refused) - (not_told(estimate) is not None)
     how = "--details" if command else "summary(details=True)"
     return "\n".join([*lines, f"how it was found, and {rest} more remark{'s' * (rest != 1)}: {how}"])
 
@@ -320,6 +326,8 @@ def _first(e: LoadEstimate) -> list[str]:
         at = "" if peak.at is None or e.axis is None else f" at {along(e.axis, peak.at)}"
         return f"{peak.label} {plus_minus(peak.value, wide * peak.std)} {peak.unit}{at}"
 
+    if (nothing := not_told(e)) is not None:
+        return [f"{nothing.message}; grade {e.grade.letter} ({e.grade.meaning})"]
     lines = [f"{kind}{said(peaks[0])} (95 % band); {e.grade}"]
     if len(peaks) > 1:
         more = len(peaks) - OTHERS
@@ -373,15 +381,16 @@ def _shape(e: LoadEstimate) -> str:
 
 def _loads(e: LoadEstimate) -> list[str]:
     order = sorted(zip(e.peaks, impulses(e), strict=True), key=lambda p: -abs(p[0].value))
+    wide = DISC95 if e.load.dtype.kind == "c" else Z95
     shown = order if len(order) <= _MANY else order[:_MANY]
     lines = []
     for peak, impulse in shown:
         word = "peak " if e.axis is not None else ""
         at = "" if peak.at is None or e.axis is None else f" at {along(e.axis, peak.at)}"
         lines.append(
-            f"{peak.label}: {word}{plus_minus(peak.value, peak.std)} {peak.unit}{at}"
+            f"{peak.label}: {word}{plus_minus(peak.value, wide * peak.std)} {peak.unit}{at}"
             + (f", {impulse}" if impulse else "")
         )
     if len(shown) < len(order):
         lines.append(f"({len(order) - len(shown)} smaller loads not listed)")
-    return [*lines, "(± one standard deviation)"]
+    return [*lines, "(±: 95 % band)"]

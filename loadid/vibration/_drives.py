@@ -66,6 +66,8 @@ class Drives(ReadOnly):
         Rows whose response is limited, and their variance.
     most, total : array, shape (limits, lines) and (limits,)
         To what: densities (or squared amplitudes) on the lines, mean squares over all of them; inf where there is none.
+    passed : array, shape (limits,)
+        dB by which the best drives without limits pass each, at most; 0 where they keep it.
     fingerprint : str
         Of the model.
     flags : tuple of Flag
@@ -87,6 +89,7 @@ class Drives(ReadOnly):
     spread: Real = field(default_factory=lambda: np.zeros((0, 0, 0)))
     most: Real = field(default_factory=lambda: np.zeros((0, 0)))
     total: Real = field(default_factory=lambda: np.zeros(0))
+    passed: Real = field(default_factory=lambda: np.zeros(0))
     fingerprint: str = ""
     flags: tuple[Flag, ...] = ()
 
@@ -232,15 +235,26 @@ class Drives(ReadOnly):
 
     @property
     def bound(self) -> tuple[str, ...]:
-        """Limits that are met, with the share of the lines on which they are."""
+        """Limits that are met, with the share of the lines on which they are, and what the best drives would need."""
         caps, power = self._caps(), self._caps().power(self._power())
         met = np.mean(power >= (1 - MET) * caps.most, axis=1)
         whole = np.sum(caps.widths * power, axis=1) >= (1 - MET) * caps.total
-        return tuple(
-            name if all_of else f"{name} on {share:.0%} of the lines"
-            for name, share, all_of in zip(self.limits, met, whole, strict=True)
-            if share > 0 or all_of
-        )
+        found = []
+        for c, name in enumerate(self.limits):
+            if met[c] > 0 or whole[c]:
+                more = self.passed[c] if c < len(self.passed) else 0.0
+                found.append(name + ("" if whole[c] else f" on {met[c]:.0%} of the lines")
+                             + (f", {more:.0f} dB below what the best drives need" if more >= 0.5 else ""))  # fmt: skip
+        return tuple(found)
+
+    @property
+    def over(self) -> Real:
+        """How far these drives pass each limit in dB, on the worst line or over all of them; 0 where they keep it."""
+        if not self.limits:
+            return np.zeros(0)
+        caps, power = self._caps(), self._caps().power(self._power())
+        lines = np.max(power / caps.most, axis=1)
+        return np.asarray(10 * np.log10(np.maximum(np.maximum(lines, power @ caps.widths / caps.total), 1.0)))
 
     # -- words, pictures, files ---------------------------------------------------------------------------------------
     def __repr__(self) -> str:

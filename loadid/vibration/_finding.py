@@ -103,7 +103,7 @@ def find_drives(
     other = {"matrix": None, "amplitudes": None, "free": np.zeros(levels.shape)}
     best = Drives(**{**same, **other, name: free})
     told(1.0, "done")
-    return Drives(**{**same, **other, name: held, "free": best.error}).judged()
+    return Drives(**{**same, **other, name: held, "free": best.error, "passed": best.over}).judged()
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------

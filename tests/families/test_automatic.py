@@ -85,9 +85,9 @@ def test_else_it_is_the_plain_one(kind: type, force: np.ndarray, more: dict) -> 
 def test_loads_that_slow_sensors_do_not_tell_apart_stay_plain(monkeypatch: pytest.MonkeyPatch) -> None:
     model = forward(sensors.Displacement, at=(0.70, 0.74))
     y = record(sensors.Displacement, SLOW)
-    assert not AutomaticInversion(model)._slow(y, 1 / RATE, len(y))
+    assert "do not tell" in AutomaticInversion(model)._lacking(y, 1 / RATE, len(y))
     monkeypatch.setattr(automatic, "MIXED", 1e12)
-    assert AutomaticInversion(model)._slow(y, 1 / RATE, len(y))
+    assert not AutomaticInversion(model)._lacking(y, 1 / RATE, len(y))
 
 
 def patched() -> ForwardModel:

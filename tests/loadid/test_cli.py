@@ -92,7 +92,7 @@ assert not heavy, heavy
 def test_help_lists_the_commands_and_the_exit_codes(run):
     code, out, _ = run("--help")
     assert code == 0
-    for word in ("demo", "info", "check", "calibrate", "identify", "4 refused as not identifiable"):
+    for word in ("demo", "info", "check", "calibrate", "identify", "1 answered but not to be used"):
         assert word in out
     for name in ("demo", "info", "check", "calibrate", "identify"):
         assert run(name, "--help")[0] == 0
@@ -327,7 +327,8 @@ def test_calibrate_then_identify(run, logs, tmp_path):
         "identify", logs[3], "--model", model, "-o", result, "--report", page, "--plot", picture, "--truth", "F",
         "--choice", "gcv", "--allow", "W407",
     )  # fmt: skip
-    assert code == 0, err
+    assert code == 1, err  # gcv, asked for by name, ends its range and leaves 1.6 times the noise of the training hits
+    assert out.startswith("NOT TO BE USED")
     assert "against the known load" in out
     assert "allowed: LID-W407" in out
     assert "LID-W407" in page.read_text()
@@ -357,7 +358,8 @@ def test_channels_by_index_and_the_json_of_a_result(run, logs, tmp_path):
         "--json-full",
     )
     answer = json.loads(out)
-    assert code == 0
+    assert code == 1  # this lambda takes the load away: written and printed, not to be used
+    assert answer["grade"]["letter"] == "D"
     assert len(answer["load"]) == 2048
     assert answer["choice"]["lam"] == pytest.approx(1e-3)
     assert answer["labels"] == ["F"]

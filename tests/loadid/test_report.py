@@ -76,7 +76,7 @@ def test_the_page_says_all_that_must_be_known(whole):
     for word in ("Result", "Flags", "How lambda was chosen", "What the data cannot tell", "Measured against predicted",
                  "Verification", "Provenance", "forward model not verified", "allowed: LID-W407",
                  "LID-W114 warning", "What to do: hang a known mass", "impulse 1.2", "robust_gcv", "sigma is not known",
-                 "9 of 10 such problems", "nullity", "white noise", "numpy", "abab", "± 15 N"):  # fmt: skip
+                 "9 of 10 such problems", "nullity", "white noise", "numpy", "abab", "std 15 N"):  # fmt: skip
         assert word in read.text, word
     titles = ["11+Z", "1+Z", "2+Z", "3+Z", "L-curve", "residual over lambda", "GCV function"]
     assert [chart["title"] for chart in read.charts] == titles

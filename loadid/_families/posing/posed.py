@@ -108,13 +108,8 @@ class PosingSettings:
         return plain and not (self.penalty.size is not None or self.penalty.leak is not None or self.penalty.from_zero)
 
     @property
-    def automatic(self) -> bool:
-        """Whether the data may ask for a variance that changes with time: no lambda, no rule was asked for by name."""
-        return self.unasked and self.support is None
-
-    @property
     def unasked(self) -> bool:
-        """Nothing was asked for by name: the band holds errors of the model."""
+        """No lambda, no rule was asked for by name: the data may ask for a variance that changes with time."""
         return self.penalty.variance == "auto" and self._plain and self.lam.choice is None
 
     @property

@@ -264,8 +264,10 @@ def _solved(goal: Goal, factors: tuple[Complex, Complex], caps: Caps, lines: NDA
     import clarabel
     from scipy import sparse
 
-    n, Q, R = goal.H.shape[2], factors[0][lines], factors[1][lines]
-    blocks = [_block(goal, Q[i], R[i], int(k)) for i, k in enumerate(lines)]
+    n, Q, plain = goal.H.shape[2], factors[0][lines], factors[1][lines]
+    R = _sized(plain, caps)
+    pairs = [(plain[i], plain[i] if R is plain else R[i]) for i in range(len(lines))]
+    blocks = [_block(goal, Q[i], *pairs[i], int(k)) for i, k in enumerate(lines)]
     basis, w = _basis(n), _through(caps.rows, R)
     own = _through(np.broadcast_to(np.eye(n)[:, None], (n, len(lines), n)), R)
     weights = np.einsum("ckn,jnm,ckm->ckj", w, basis, w.conj()).real  # (limits, lines, n^2)
@@ -297,6 +299,24 @@ def _solved(goal: Goal, factors: tuple[Complex, Complex], caps: Caps, lines: NDA
     return _within(X, caps)
 
 
+def _sized(R: Complex, caps: Caps) -> Complex:
+    """Factors in whose coordinates both the target and the limits are of the size of one, shape (lines, n, n).
+
+    ``R_s^H R_s = R^H R + sum_c w_c^H w_c / b_c``, where a limit is far below what the target asks for the small part of
+    a load that it leaves is then no small number. Without limits they are the factors as they are.
+    """
+    if not len(caps.rows):
+        return R
+    even = np.minimum(caps.most, (caps.total / np.sum(caps.widths))[:, None])
+    parts = [caps.rows / np.sqrt(even)[..., None]]
+    for j in range(R.shape[2]):
+        own = np.zeros_like(caps.rows)
+        own[..., j] = np.sqrt(caps.spread[..., j] / even)
+        parts.append(own)
+    rows = np.moveaxis(np.concatenate(parts), 0, 1)
+    return np.asarray(np.linalg.qr(np.concatenate([R, rows], axis=1), mode="r"))
+
+
 def _within(X: Complex, caps: Caps) -> Complex:
     """The loads without what the solver's tolerance left outside: negative eigenvalues, and limits passed by a hair."""
     w, V = np.linalg.eigh(X)
@@ -326,34 +346,55 @@ class _Block:
     cones: list[Any]
 
 
-def _block(goal: Goal, Q: Complex, R: Complex, k: int) -> _Block:
+def _block(goal: Goal, Q: Complex, plain: Complex, R: Complex, k: int) -> _Block:
+    """The programme of a line in the coordinates Y = R X R^H; Q and `plain` are the factors of its FRFs."""
     import clarabel
     from scipy import sparse
 
     n, head = goal.H.shape[2], Q[: goal.H.shape[1]]
-    m, basis, back = n * n, _basis(n), _through(np.eye(n, dtype=complex)[:, None], R[None])[:, 0]
+    m, basis, back = n * n, _basis(n), _inverted(R)
     N = _normalised(goal.H[k]) if goal.target is None else goal.target[k]
     aim = np.einsum("jnm,mn->j", basis, head.conj().T @ N @ head).real
-    trace = np.einsum("ln,jnm,lm->j", back, basis, back.conj()).real  # the power of the drives
-    dear = np.sqrt(PRICE * len(N)) / max(float(trace @ aim), 1e-300) * trace[None]
+    price = float(_traces(_inverted(plain)) @ aim)  # the power of the drives of the aim
+    dear = np.sqrt(PRICE * len(N)) / max(price, 1e-300) * _traces(back)[None]
+    limited, weigh = R is not plain, np.eye(m)
+    if limited:  # the response is Q M Y M^H Q^H: coordinates of M Y M^H
+        M = plain @ back
+        weigh = np.einsum("jab,ac,icd,bd->ji", basis.conj(), M, basis, M.conj(), optimize=True).real
     semi = [clarabel.PSDTriangleConeT(2 * n)]
     if goal.target is not None:
-        P, equal, rest = _residuals(1.0, dear, m, 0)
+        B = np.concatenate([weigh / ROOT2, dear]) if limited else dear
+        P, equal, rest = _residuals(0.0 if limited else 1.0, B, m, 0)
         A = sparse.vstack([equal, sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), rest))])], format="csc")
-        return _Block(P, np.r_[-aim, np.zeros(rest)], A, np.zeros(A.shape[0]), [clarabel.ZeroConeT(1), *semi])
+        q = np.r_[-(weigh.T @ aim), np.zeros(rest)]
+        return _Block(P, q, A, np.zeros(A.shape[0]), [clarabel.ZeroConeT(len(B)), *semi])
     # autospectra alone: p = G y, t p >= 1 by a second-order cone, and what errors of the FRF make of p by rows r = B y
     G, B = _powers(goal, back, k)
-    B, sensors = np.asarray(np.linalg.qr(np.concatenate([B, dear]), mode="r"), float), len(G)
-    P, equal, rest = _residuals(2 * LIKE, B, m, sensors)
-    q = np.concatenate([G.sum(axis=0) - 2 * LIKE * aim, np.ones(sensors), np.zeros(len(B))])
+    rows, sensors = [B, dear, *([np.sqrt(LIKE) * weigh] if limited else [])], len(G)
+    B = np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"), float)
+    # p / size and size t are unknowns of the size of one
+    size = np.minimum(1.0, G[:, :n].sum(axis=1)) if limited else np.ones(sensors)
+    P, equal, rest = _residuals(0.0 if limited else 2 * LIKE, B, m, sensors)
+    q = np.concatenate([G.sum(axis=0) - 2 * LIKE * (weigh.T @ aim), 1 / size, np.zeros(len(B))])
     hyper = np.zeros((3 * sensors, m + rest))
     for i in range(sensors):  # (t + p, t - p, 2) in the cone
-        hyper[3 * i, :m], hyper[3 * i + 1, :m] = -G[i], G[i]
+        hyper[3 * i, :m], hyper[3 * i + 1, :m] = -G[i] / size[i], G[i] / size[i]
         hyper[3 * i, m + i], hyper[3 * i + 1, m + i] = -1.0, -1.0
     cone = sparse.hstack([-_cone(n), sparse.csc_matrix((n * (2 * n + 1), rest))])
     A = sparse.vstack([equal, sparse.csc_matrix(hyper), cone], format="csc")
     b = np.concatenate([np.zeros(len(B)), np.tile([0.0, 0.0, 2.0], sensors), np.zeros(n * (2 * n + 1))])
-    return _Block(P, q, A, b, [clarabel.ZeroConeT(len(B)), *[clarabel.SecondOrderConeT(3)] * sensors, *semi])
+    cones = [clarabel.ZeroConeT(len(B)), *[clarabel.SecondOrderConeT(3)] * sensors, *semi]
+    least = float(size.min())
+    return _Block(P * least, q * least, A, b, cones)
+
+
+def _inverted(R: Complex) -> Complex:
+    return np.asarray(_through(np.eye(len(R), dtype=complex)[:, None], R[None])[:, 0])
+
+
+def _traces(back: Complex) -> Real:
+    """Power of the drives of every element of the basis, (n^2,)."""
+    return np.asarray(np.einsum("ln,jnm,lm->j", back, _basis(len(back)), back.conj()).real)
 
 
 def _normalised(H: Complex) -> Complex:
@@ -410,6 +451,7 @@ def _run(P: Any, q: Real, A: Any, b: Real, cones: list[Any]) -> Real:
     if str(found.status) not in ("Solved", "AlmostSolved"):
         raise NotIdentifiable(
             f"the cone solver does not settle the loads under these limits ({found.status})",
-            advice="check the limits for units and for values that are far from any response", code="LID-E410",
+            advice="check the limits and the target for units; without limits= the drives say what they need",
+            code="LID-E410",
         )  # fmt: skip
     return np.asarray(found.x, float)

@@ -1,0 +1,172 @@
+"""Whether an answer tells a load from noise at all, in every kind of problem; if not, which loads it rules out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures._channels import Channel
+from structures._flags import Flag
+
+from .. import _guards as guards
+from .._inverse.diagnosis.detection import EnergyTest, noise_alone
+from .._inverse.path import FactoredPath, RegularizationPath
+from .._inverse.problem import whiten
+
+if TYPE_CHECKING:
+    from .posing import Posed
+    from .posing.gathered import LineData
+    from .posing.steady import StaticProblem
+
+Array = NDArray[Any]
+
+PULSE = 10  # samples of a hit
+
+
+@dataclass(frozen=True)
+class NotTold:
+    """No load is told from noise.
+
+    Parameters
+    ----------
+    chance : float
+        That noise alone explains as much.
+    flag : Flag
+        With the loads that would have been told.
+    facts : dict
+        ``told_from``: size of each load from which it would have been told in 95 % of all cases, in its unit: peak of a
+        hit in a record, of one load alone at one reading, or of one size on all lines. ``told_from_throughout``: rms of
+        a wide-band load in a record.
+    """
+
+    chance: float
+    flag: Flag
+    facts: dict[str, Any]
+
+
+def of_history(
+    posed: Posed, lam: float, loads: Sequence[Channel], dt: float, acting: NDArray[np.bool_] | None
+) -> NotTold | None:
+    """Of a record: a hit in the middle of the time at which loads act, and a wide-band load throughout."""
+    test = noise_alone(posed.path, lam, posed.noise.sigma)
+    if test is None:
+        return None
+    samples, when = len(posed.values), np.flatnonzero(acting) if acting is not None else np.arange(len(posed.values))
+    hit, wide = np.zeros(samples), np.zeros(samples)
+    pulse = when[len(when) // 2 :][:PULSE]
+    hit[pulse] = np.sin(np.pi * (np.arange(len(pulse)) + 0.5) / PULSE)
+    wide[when] = np.random.default_rng(0).standard_normal(len(when))
+
+    def explained(history: Array, j: int) -> Callable[[float], float]:
+        load = np.zeros((samples, len(loads)))
+        load[:, j] = history
+        response = _response(posed, load, lam)
+        return lambda at: float(np.sum(response * _response(posed, posed.path.resolve(load, at), lam)))
+
+    return _not_told(test, loads, f"a hit (half sine of {1e3 * len(pulse) * dt:.3g} ms) of {{}}",
+                      _sizes(test, [explained(hit, j) for j in range(len(loads))]),
+                      "a wide-band load throughout of {} rms",
+                      _sizes(test, [explained(wide / _rms(wide[when]), j) for j in range(len(loads))]))  # fmt: skip
+
+
+def of_readings(posed: StaticProblem, lam: float, loads: Sequence[Channel]) -> NotTold | None:
+    """Of static readings: one load alone, in one reading."""
+    test = noise_alone(posed.base, lam, posed.noise.sigma)
+    if test is None:
+        return None
+    return _not_told(test, loads, "a load of {} alone", _in_columns(test, posed.base, posed.whitening @ posed.H))
+
+
+def of_line(path: RegularizationPath, lam: float, sigma: float | None, H: Array, level: Array,
+            loads: Sequence[Channel]) -> NotTold | None:  # fmt: skip
+    """Of complex amplitudes on one line, in a path of real parts before imaginary ones."""
+    test = noise_alone(path, lam, sigma)
+    if test is None:
+        return None
+    seen = H / level[:, None]
+    both = np.block([[seen.real, -seen.imag], [seen.imag, seen.real]])
+    return _not_told(test, loads, "an amplitude of {} alone", _in_columns(test, path, both)[: len(loads)])
+
+
+def of_lines(H: Array, line: LineData, loads: Sequence[Channel], unit: str) -> NotTold | None:
+    """Of spectra whose noise is known: one load alone, of one size on all lines."""
+    if not line.known or line.part_of is not None:
+        return None
+    whitened, X = H / np.sqrt(line.power)[..., None], line.X / np.sqrt(line.power)[..., None]
+    U, s, _ = np.linalg.svd(whitened, full_matrices=False)
+    beta2 = np.sum(np.abs(U.conj().swapaxes(1, 2) @ X) ** 2, axis=-1)
+    # an average of n squares of unit complex numbers is a chi-square of 2 n degrees over 2 n
+    many = 2 * max(float(line.averages * line.fullness), 1.0) if line.kind == "cross spectra" else 2.0
+    many /= 1 if line.kind == "cross spectra" else X.shape[-1]
+    outside = max(float(np.sum(np.abs(X) ** 2) - np.sum(beta2)), 0.0)
+    path = FactoredPath(s.ravel(), np.ones(s.size), np.sqrt(beta2).ravel(), many * outside, round(many * H.shape[0] *
+                        H.shape[1]), weight=np.full(s.size, many))  # fmt: skip
+    test = noise_alone(path, 1.0, 1.0)
+    if test is None:
+        return None
+    parts = np.abs(U.conj().swapaxes(1, 2) @ whitened) ** 2
+
+    def explained(j: int) -> Callable[[float], float]:
+        def at(lam: float) -> float:
+            passed = s**2 / (s**2 + (lam * float(path.scale)) ** 2)
+            return float(many * np.sum(passed * parts[..., j]))
+
+        return at
+
+    sizes = _sizes(test, [explained(j) for j in range(len(loads))])
+    if line.kind == "cross spectra":
+        sizes = tuple(size**2 for size in sizes)
+    return _not_told(test, loads, "a load of {} on every line", sizes, unit=unit)
+
+
+# -- inside ------------------------------------------------------------------------------------------------------------
+def _response(posed: Posed, load: Array, lam: float) -> Array:
+    """Whitened response (samples, sensors) of a load, beyond that of none: a start or an offset may make some."""
+    with_it, without = (np.subtract(*posed.compare(g, lam, None)) for g in (load, np.zeros_like(load)))
+    return whiten(with_it - without, posed.noise.level, axis=1)
+
+
+def _in_columns(test: EnergyTest, path: RegularizationPath, columns: Array) -> tuple[float, ...]:
+    """Sizes of single unknowns, by the matrix (data, unknowns) of one frame."""
+    unknowns = columns.shape[1]
+
+    def explained(j: int) -> Callable[[float], float]:
+        one = np.zeros(unknowns)
+        one[j] = 1.0
+        return lambda lam: float(columns[:, j] @ (columns @ path.resolve(one, lam)))
+
+    return _sizes(test, [explained(j) for j in range(unknowns)])
+
+
+def _sizes(test: EnergyTest, explained: Sequence[Callable[[float], float]]) -> tuple[float, ...]:
+    """Size of each load; all are asked at the lambda that tells the first."""
+    first, lam = test.least(explained[0])
+    return (first, *(test.least(one, np.array([lam]))[0] for one in explained[1:]))
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def _not_told(
+    test: EnergyTest, loads: Sequence[Channel], what: str, sizes: tuple[float, ...], other: str = "",
+    others: tuple[float, ...] = (), unit: str = "{}",
+) -> NotTold:  # fmt: skip
+    """The flag with the loads that are seen best and least, one kind or two."""
+    kinds = [(what, sizes), *([(other, others)] if others else [])]
+
+    def said(j: int) -> str:
+        return " or ".join(words.format(f"{size[j]:.3g} {unit.format(loads[j].unit)}") for words, size in kinds)
+
+    seen = np.flatnonzero(np.isfinite(sizes))
+    best, least = (int(seen[pick(np.asarray(sizes)[seen])]) for pick in (np.argmin, np.argmax))
+    text = said(best) if len(loads) == 1 else (
+        f"at {loads[best].label} {said(best)}" if best == least
+        else f"at {loads[best].label} {said(best)}, at {loads[least].label}, which is seen least, {said(least)}"
+    )  # fmt: skip
+    return NotTold(test.chance, guards.not_told(test.chance, text),
+                   {"told_from": sizes, **({"told_from_throughout": others} if others else {})})  # fmt: skip

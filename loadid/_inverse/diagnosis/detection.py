@@ -1,0 +1,154 @@
+"""Whether data hold more than noise: the energy that a load explains, against what it explains of noise alone.
+
+At a lambda the fit takes y^T A y from the data, A their influence matrix. Of white noise of variance sigma^2 that is
+sigma^2 times a sum of chi-squares with the weights of A: mean tr A, variance 2 tr A^2, near enough one scaled
+chi-square (F. Satterthwaite, Biometrics Bulletin 2 (1946) 110). Where the level is not known, the share
+y^T A y / y^T y is asked, which white noise of any level distributes like a beta variable of the same two moments. Some
+lambdas are tried, as a load may be simple or not, and the smallest chance counts as many times (Bonferroni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import Array
+from ..path import PathPoint, RegularizationPath
+
+TRIED = 7  # lambdas ...
+LOWEST = 1e-4  # ... from here to the scale of the path
+CHANCE = 0.01  # that noise alone explains as much
+ROUGH = 1.05  # a stated level may be too small by so much
+FEWEST = 40  # data that tell their own noise level
+SURE = 1.6448536269514722  # std that 95 % of all cases stay above
+PLAIN = 1e-4  # chance at one lambda below which no other is asked
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyTest:
+    """Energy that a load explains at some lambdas; arrays are (lambdas,).
+
+    Parameters
+    ----------
+    lam : array
+        Relative.
+    energy, edf, edf2 : array
+        y^T A y, tr A and tr A^2.
+    m : int
+        Number of data.
+    whole : float
+        y^T y.
+    sigma : float or None
+        Noise level of the whitened data, where it is known.
+    """
+
+    lam: Array
+    energy: Array
+    edf: Array
+    edf2: Array
+    m: int
+    whole: float
+    sigma: float | None
+
+    @property
+    def level(self) -> float:
+        """Noise level: as it is known with some allowance, or as data that are noise alone show it."""
+        return ROUGH * self.sigma if self.sigma is not None else float(np.sqrt(self.whole / self.m))
+
+    @property
+    def chance(self) -> float:
+        """That noise alone explains as much, at some of these lambdas."""
+        from scipy.special import betaincc, gammaincc
+
+        if self.sigma is not None:
+            each = gammaincc(self.edf**2 / self.edf2 / 2, self.energy / self.level**2 * self.edf / self.edf2 / 2)
+        else:
+            each = betaincc(*self._beta(), np.clip(self.energy / self.whole, 0.0, 1.0))
+        return float(min(1.0, len(self.lam) * np.min(each)))
+
+    def least(self, seen: Callable[[float], float], lams: Array | None = None) -> tuple[float, float]:
+        """Size of a load that would have been told in 95 % of all cases, and the lambda that tells it.
+
+        Parameters
+        ----------
+        seen : callable
+            Energy ``(H g)^T A (H g)`` of the whitened response of a load g of size 1, at a relative lambda.
+        lams : array, optional
+            Of those that were tried; default all.
+        """
+        size, at = np.inf, float(self.lam[0])
+        for lam, need in zip(self.lam, self._needed(), strict=True):
+            own = seen(float(lam)) if lams is None or lam in lams else 0.0
+            if own > 0 and (found := float(np.sqrt(need / own))) < size:
+                size, at = found, float(lam)
+        return size, at
+
+    def _beta(self) -> tuple[Array, Array]:
+        mean = self.edf / self.m
+        variance = 2 * (self.m * self.edf2 - self.edf**2) / (self.m**2 * (self.m + 2.0))
+        free = mean * (1 - mean) / np.maximum(variance, np.finfo(float).tiny) - 1
+        return mean * free, (1 - mean) * free
+
+    def _needed(self) -> Array:
+        """Energy of a response that 95 % of all noise lifts above the threshold."""
+        from scipy.special import betaincinv, gammainccinv
+
+        each = CHANCE / len(self.lam)
+        if self.sigma is not None:
+            threshold = 2 * self.edf2 / self.edf * gammainccinv(self.edf**2 / self.edf2 / 2, each)
+        else:
+            threshold = self.m * betaincinv(*self._beta(), 1 - each)
+        # mean edf + x and variance 2 edf2 + 4 x of the energy with a response of energy x
+        above, b = np.maximum(threshold - self.edf, 0.0), 2 * SURE**2
+        x = above + b + np.sqrt(b**2 + 2 * b * above + 2 * SURE**2 * self.edf2)
+        return np.asarray(self.level**2 * x)
+
+
+def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> EnergyTest | None:
+    """What the data explain, where that is no more than noise alone gives; None where it is more, or cannot be asked.
+
+    Parameters
+    ----------
+    path : RegularizationPath
+        Not stacked.
+    lam : float
+        Relative lambda at which it is asked first: clear cases end there.
+    sigma : float or None
+        Noise level of the whitened data; None where it is not known, and white noise is taken for granted.
+    """
+    path = path.unconstrained
+    if path.energy is None or path.stacked or (sigma is None and path.m < FEWEST):
+        return None
+    first = _tested(path, np.array([max(lam, path.range[0])]), sigma, bounded=True)
+    if first is None or first.chance < PLAIN:
+        return None
+    found = _tested(path, np.geomspace(max(path.range[0], LOWEST), 1.0, TRIED), sigma)
+    return None if found is None or found.chance < CHANCE else found
+
+
+def _tested(path: RegularizationPath, lam: Array, sigma: float | None, bounded: bool = False) -> EnergyTest | None:
+    """The test at some lambdas; with tr A in place of the smaller tr A^2 where it is `bounded`."""
+    point = path.at(lam)
+    edf2 = point.edf if bounded else _edf2(path, point)
+    if point.edf is None or edf2 is None:
+        return None
+    left = np.asarray(point.residual2)
+    if path.smooth:
+        left = left + (lam * float(path.scale)) ** 2 * np.asarray(point.penalty2)
+    whole = float(np.asarray(path.energy))
+    asked = (np.asarray(point.edf) > 0) & (np.asarray(point.edf) < path.m * (1 - 1e-9))
+    if sigma is not None:
+        asked |= np.asarray(point.edf) > 0
+    if not asked.any() or not whole > 0:
+        return None
+    edf, edf2 = np.asarray(point.edf)[asked], np.asarray(edf2)[asked]
+    energy = np.maximum(whole - left[asked], 0.0)
+    return EnergyTest(lam[asked], energy, edf, np.minimum(edf2, edf), path.m, whole, sigma)
+
+
+def _edf2(path: RegularizationPath, point: PathPoint) -> Array | None:
+    if point.edf2 is not None or point.rest2 is None or point.edf is None:
+        return point.edf2
+    return np.asarray(point.rest2 - path.m + 2 * point.edf)
