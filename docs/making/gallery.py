@@ -48,9 +48,14 @@ class Study:
         first, _, rest = text.partition("\n\n")
         return " ".join(first.split()), rest
 
+    @property
+    def kept(self) -> Path:
+        """Where its record is."""
+        return RECORDS / f"{self.name}.json"
+
     def record(self) -> dict[str, Any]:
-        """What was recorded when it ran."""
-        found: dict[str, Any] = json.loads((RECORDS / f"{self.name}.json").read_text("utf-8"))
+        """What was recorded when it ran: what it ``printed``, and what its tests ``pinned``."""
+        found: dict[str, Any] = json.loads(self.kept.read_text("utf-8"))
         return found
 
     @property
@@ -101,16 +106,24 @@ def shortened(text: str) -> str:
     return text if len(text) < 90 and "<" + "function" not in text and " object at " not in text else ""
 
 
-def _pin(tests: Sequence[str]) -> list[dict[str, str]]:
-    """Run some tests and say what their assertions found."""
+def _pin(study: Study) -> list[dict[str, Any]]:
+    """Run the tests of a study; what each assertion found. A picture that they draw is kept where there is none."""
     script = "import sys; from docs.making.gallery import pinned; pinned(sys.argv[1], sys.argv[2:])"
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "pins.json"
         # rewritten tests are cached without what the hook needs: look for them elsewhere
-        settings = {**os.environ, "PYTHONPYCACHEPREFIX": folder}
-        subprocess.run([sys.executable, "-c", script, str(out), *tests], cwd=ROOT, env=settings, check=True)
-        found: list[dict[str, str]] = json.loads(out.read_text("utf-8"))
-    return found
+        settings = {**os.environ, "PYTHONPYCACHEPREFIX": folder, "MPLBACKEND": "agg"}
+        words = [sys.executable, "-c", script, str(out), *study.tests]
+        subprocess.run(words, cwd=ROOT, env=settings, check=True, stdout=subprocess.DEVNULL)
+        grouped: dict[tuple[str, str], list[str]] = {}
+        for pin in json.loads(out.read_text("utf-8")):
+            name = pin["node"].rpartition("::")[2].partition("[")[0]
+            grouped.setdefault((name, pin["asserted"]), []).append(pin["found"])
+        drawn = sorted((Path(folder) / "made").rglob("x.png"))
+        if drawn and not study.picture.exists():
+            study.picture.write_bytes(small(drawn[0].read_bytes()))
+    return [{"test": test, "asserted": text, "found": [*dict.fromkeys(found)]}
+            for (test, text), found in grouped.items()]  # fmt: skip
 
 
 def pinned(out: str, tests: Sequence[str]) -> None:
@@ -124,27 +137,31 @@ def pinned(out: str, tests: Sequence[str]) -> None:
     import pytest
 
     pins = _Pins()
-    words = ["-q", "-n", "0", "-p", "no:cacheprovider", "-o", "enable_assertion_pass_hook=true", "--timeout", "3000"]
+    words = ["-q", "-n", "0", "-p", "no:cacheprovider", "-o", "enable_assertion_pass_hook=true", "--timeout", "3000",
+             "--basetemp", str(Path(out).with_name("made"))]  # fmt: skip
     if code := pytest.main([*words, *tests], plugins=[pins]):
         raise RuntimeError(f"pytest ended with {code}: {' '.join(tests)}")
     Path(out).write_text(json.dumps(pins.found), "utf-8")
 
 
 # -- running -----------------------------------------------------------------------------------------------------------
-def record(names: Sequence[str] = ()) -> None:
-    """Run case studies, all or some, with their tests, and keep what they print, draw and find."""
+def record(names: Sequence[str] = (), *, printing: bool = True) -> None:
+    """Run case studies, all or some, with their tests, and keep what they print, draw and find.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of modules; none stands for all.
+    printing : bool
+        Whether they run as users run them, which takes minutes for some, or their tests alone.
+    """
     for study in studies():
         if not names or study.name in names:
-            printed = _run(study)
-            grouped: dict[tuple[str, str], list[str]] = {}
-            for pin in _pin(study.tests):
-                name = pin["node"].rpartition("::")[2].partition("[")[0]
-                grouped.setdefault((name, pin["asserted"]), []).append(pin["found"])
-            pins = [{"test": test, "asserted": text, "found": [*dict.fromkeys(found)]}
-                    for (test, text), found in grouped.items()]  # fmt: skip
-            whole = {"printed": printed, "pinned": pins}
-            (RECORDS / f"{study.name}.json").write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", "utf-8")
-            sys.stdout.write(f"{study.name}: {len(pins)} assertions\n")
+            found = {"printed": "", **(study.record() if study.kept.exists() else {})}
+            found["printed"] = _run(study) if printing else found["printed"]
+            found["pinned"] = _pin(study)
+            study.kept.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
+            sys.stdout.write(f"{study.name}: {len(found['pinned'])} assertions\n")
 
 
 def _run(study: Study) -> str:
