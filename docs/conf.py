@@ -7,12 +7,11 @@ author = "The loadid developers"
 copyright = "2026, The loadid developers"
 version = release = installed("loadid")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.making.formulas"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.making.formulas", "docs.making.links"]
 exclude_patterns = ["making", "gallery/*.json", "**/__pycache__"]
-default_role = "py:obj"
+default_role = "name"
 language = "en"
 nitpicky = False
-suppress_warnings: list[str] = []
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "attrs_inline", "attrs_block", "deflist"]
 myst_heading_anchors = 4
@@ -28,11 +27,13 @@ toc_object_entries = False
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_preprocess_types = False
-napoleon_use_ivar = True
+napoleon_use_param = False
+napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "loadid"
+html_context = {"default_mode": "auto"}
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_copy_source = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,8 @@ DOCS = ROOT / "docs"
 FOUND = 4  # values that an assertion found in a loop, as far as the page lists them
 
 
-def stage(folder: Path, *, apart: tuple[str, ...] = ()) -> None:
-    """Lay the pages of the site in an empty folder, but those of some kinds: ``"reference"``, ``"gallery"``."""
+def stage(folder: Path) -> None:
+    """Lay the pages of the site in an empty folder."""
     if folder.exists():
         shutil.rmtree(folder)
     shutil.copytree(DOCS, folder, ignore=shutil.ignore_patterns("making", "__pycache__", "__main__.py", "*.json"))
@@ -28,13 +28,26 @@ def stage(folder: Path, *, apart: tuple[str, ...] = ()) -> None:
         page.write_text(page.read_text("utf-8").replace("(../README.md)", "(index.md)"), "utf-8")
     guards = folder / "guards.md"
     guards.write_text("(guard-codes)=\n" + guards.read_text("utf-8"), "utf-8")
-    if "reference" not in apart:
-        reference.write(folder / "reference")
+    _listed(folder / "manual.md", "@others", _others(folder))
+    _listed(folder / "reference" / "index.md", "@modules", reference.modules())
+    reference.write(folder / "reference")
     _gallery(folder / "gallery")
     from . import house
 
     (folder / "static").mkdir(exist_ok=True)
     (folder / "static" / "house.svg").write_text(house.drawn(), "utf-8")
+
+
+def _listed(page: Path, mark: str, names: Iterable[str]) -> None:
+    """Put names in the place of a mark of a table of contents."""
+    page.write_text(page.read_text("utf-8").replace(mark + "\n", "".join(f"{name}\n" for name in names)), "utf-8")
+
+
+def _others(folder: Path) -> list[str]:
+    """Pages of the first level that no table of contents of their neighbours names."""
+    held = "".join((folder / name).read_text("utf-8") for name in ("index.md", "manual.md", "developers/index.md"))
+    listed = set(re.findall(r"^(?:\.\./)?([\w/-]+)$", held, re.MULTILINE))
+    return sorted({page.stem for page in folder.glob("*.md")} - listed - {"index"})
 
 
 def _moved(text: str) -> str:
@@ -67,11 +80,11 @@ def _cards() -> Iterator[str]:
     groups = dict.fromkeys(study.group for study in gallery.studies())
     for group in groups:
         listed = [study for study in gallery.studies() if study.group == group]
-        yield f"## {group}\n\n:::{{div}} cards"
+        yield f"## {group}\n\n:::{{container}} cards"
         for study in listed:
             yield ""
             picture = f"[![]({study.name}.png)]({study.name}.md)" if study.picture.exists() else ""
-            yield f"::::{{div}} card\n{picture}\n\n**[{study.title}]({study.name}.md)**\n\n{study.said[0]}\n::::"
+            yield f"::::{{container}} card\n{picture}\n\n**[{study.title}]({study.name}.md)**\n\n{study.said[0]}\n::::"
         yield "\n:::\n"
     yield "```{toctree}\n:hidden:\n"
     yield from (study.name for study in gallery.studies())
