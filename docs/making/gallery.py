@@ -103,7 +103,7 @@ def shortened(text: str) -> str:
     """Numbers of an explanation to four digits, without the names of their types; ``""`` where there is none."""
     text = re.sub(r"np\.(?:float64|int64|bool|bool_)\(([^()]*)\)", r"\1", text)
     text = re.sub(r"-?\d+\.\d+(?:e[-+]?\d+)?", lambda number: f"{float(number[0]):.4g}", text)
-    return text if len(text) < 90 and "<" + "function" not in text and " object at " not in text else ""
+    return "" if len(text) > 90 or re.search(r"<[A-Za-z]", text) else text
 
 
 def _pin(study: Study) -> list[dict[str, Any]]:
