@@ -1,6 +1,6 @@
 """The documentation site: it builds without a warning, fetches nothing, and everything has its place on it.
 
-It is built once for the module (half a minute of CPU). Sphinx itself refuses pages, headings and pictures that are missing.
+It is built once for the module (half a minute of CPU). Sphinx itself refuses what pages name and is missing.
 """
 
 from __future__ import annotations

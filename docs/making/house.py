@@ -50,9 +50,9 @@ def drawn() -> str:
             place[name] = (x + w / 2, 30 + STEP * k)
             x += w + GAP
     tall = 30 + STEP * len(lines)
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDE} {tall}" role="img" '
-             'font-family="monospace" font-size="12"><title>Folders of the three packages, those that load others above '
-             "what they load</title>"]  # fmt: skip
+    box = f'viewBox="0 0 {WIDE} {tall}" role="img" font-family="monospace" font-size="12"'
+    title = "Folders of the three packages, those that load others above what they load"
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" {box}><title>{title}</title>']
     for name, loaded in edges.items():
         for other in sorted(loaded):
             (x, y), (u, v) = place[name], place[other]

@@ -13,6 +13,11 @@ from . import gallery, reference
 from .gallery import ROOT, Study
 
 DOCS = ROOT / "docs"
+HEAD = """\
+Every case study of the project: its source, what it states, its code, figure and numbers. The numbers are those that its
+tests assert, as they were found when the study was recorded (`python -m docs --gallery`); a test fails where an assertion
+and its record differ.
+"""
 FOUND = 4  # values that an assertion found in a loop, as far as the page lists them
 
 
@@ -74,9 +79,7 @@ def _gallery(folder: Path) -> None:
 
 def _cards() -> Iterator[str]:
     yield "# Gallery\n"
-    yield ("Every case study of the project: its source, what it states, its code, figure and numbers. The numbers are those "
-           "that its tests assert, as they were found when the study was recorded (`python -m docs --gallery`); a test "
-           "fails where an assertion and its record differ.\n")  # fmt: skip
+    yield HEAD
     groups = dict.fromkeys(study.group for study in gallery.studies())
     for group in groups:
         listed = [study for study in gallery.studies() if study.group == group]

@@ -267,4 +267,4 @@ def _run(args: Namespace) -> int:
     return 0
 
 
-command = Command("info", "say what is in a log, a model or a result file, or what the code of a flag means", _configure, _run)
+command = Command("info", "say what is in a log, a model or a result, or what a flag means", _configure, _run)
