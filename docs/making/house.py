@@ -6,7 +6,7 @@ from collections import defaultdict
 
 from tests.house import graph
 
-WIDE, TALL, GAP, STEP, BOX = 1120, 26, 10, 74, 7.2  # px: the drawing, a box, between boxes, between rows, a letter
+WIDE, TALL, GAP, STEP, BOX = 660, 26, 14, 62, 7.2  # px: the drawing, a box, between boxes, between rows, a letter
 
 
 def folders() -> dict[str, set[str]]:
@@ -38,6 +38,13 @@ def rows(edges: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
+def beyond(edges: dict[str, set[str]], folder: str) -> set[str]:
+    """What a folder loads and some other that it loads does, too: its lines would only hide the others."""
+    loaded = edges[folder]
+    return {other for other in loaded if any(other in edges[one] and folder not in edges[one]
+                                             for one in loaded - {other})}  # fmt: skip
+
+
 def drawn() -> str:
     """The drawing as SVG; colours are those of the page."""
     edges = folders()
@@ -54,7 +61,7 @@ def drawn() -> str:
     title = "Folders of the three packages, those that load others above what they load"
     parts = [f'<svg xmlns="http://www.w3.org/2000/svg" {box}><title>{title}</title>']
     for name, loaded in edges.items():
-        for other in sorted(loaded):
+        for other in sorted(loaded - beyond(edges, name)):
             (x, y), (u, v) = place[name], place[other]
             start, end = (y + TALL / 2, v - TALL / 2) if v > y else (y - TALL / 2, v + TALL / 2)
             middle = (start + end) / 2

@@ -14,9 +14,9 @@ from .gallery import ROOT, Study
 
 DOCS = ROOT / "docs"
 HEAD = """\
-Every case study of the project: its source, what it states, its code, figure and numbers. The numbers are those that its
-tests assert, as they were found when the study was recorded (`python -m docs --gallery`); a test fails where an assertion
-and its record differ.
+Every case study of the project: its source, what it states, its code, figure and numbers. The numbers are those that
+its tests assert, as they were found when the study was recorded (`python -m docs --gallery`); a test fails where an
+assertion and its record differ.
 """
 FOUND = 4  # values that an assertion found in a loop, as far as the page lists them
 
@@ -83,12 +83,12 @@ def _cards() -> Iterator[str]:
     groups = dict.fromkeys(study.group for study in gallery.studies())
     for group in groups:
         listed = [study for study in gallery.studies() if study.group == group]
-        yield f"## {group}\n\n:::{{container}} cards"
+        yield f"## {group}\n\n::::{{container}} cards"
         for study in listed:
             yield ""
             picture = f"[![]({study.name}.png)]({study.name}.md)" if study.picture.exists() else ""
-            yield f"::::{{container}} card\n{picture}\n\n**[{study.title}]({study.name}.md)**\n\n{study.said[0]}\n::::"
-        yield "\n:::\n"
+            yield f":::{{container}} card\n{picture}\n\n**[{study.title}]({study.name}.md)**\n\n{study.said[0]}\n:::"
+        yield "\n::::\n"
     yield "```{toctree}\n:hidden:\n"
     yield from (study.name for study in gallery.studies())
     yield "```\n"
