@@ -145,7 +145,7 @@ class Resultant(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class FrictionCone(ReadOnly):
-    """Coulomb friction |t_t| <= mu t_n at each contact: the load pushes, and does not leave its cone.
+    """Coulomb friction norm(t_t) <= mu t_n at each contact: the load pushes, and does not leave its cone.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class FrictionCone(ReadOnly):
         A pyramid of this many facets (3 or more) in place of the round cone. Facet 0 lies in the first tangential
         direction. In the plane (dim 2) there is no difference.
     inner : bool
-        False: the facets touch the cone from outside, which lets |t_t| reach mu / cos(pi / facets) times t_n;
+        False: the facets touch the cone from outside, which lets norm(t_t) reach mu / cos(pi / facets) times t_n;
         True: the edges lie on the cone, which is the safe side.
     """
 

@@ -29,12 +29,15 @@ class Guard:
     advice : str
         What a flag says where the guard function knows nothing better (`structures._advice.Advice` where Python and the
         command line differ).
+    example : str
+        What a flag found when it was raised, with its evidence: from a case of ``tests/guards``.
     """
 
     code: str
     title: str
     condition: str
     advice: str
+    example: str
 
     @property
     def level(self) -> str:
@@ -59,8 +62,8 @@ def table() -> Mapping[str, Guard]:
     return {code: _row(code, **row) for code, row in rows.items()}
 
 
-def _row(code: str, title: str, condition: str, advice: str, command: str | None = None) -> Guard:
-    return Guard(code, title, condition, advice if command is None else Advice(Spelling(advice, command)))
+def _row(code: str, title: str, condition: str, advice: str, example: str, command: str | None = None) -> Guard:
+    return Guard(code, title, condition, advice if command is None else Advice(Spelling(advice, command)), example)
 
 
 def canonical(code: str) -> str:

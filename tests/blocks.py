@@ -70,7 +70,7 @@ class Block:
 
 def pages() -> list[str]:
     """README and every page of docs, those that have a block."""
-    found = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
     return [path.relative_to(ROOT).as_posix() for path in found if blocks(path.relative_to(ROOT).as_posix())]
 
 

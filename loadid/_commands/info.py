@@ -1,4 +1,4 @@
-"""``loadid info``: what is in a file."""
+"""``loadid info``: what is in a file, or what a guard code means."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import structures
+from structures._advice import on_command_line
+from structures._flags import table as codes
 from structures.files import _storage as storage
 
 from .._results.summary import quantity, summary
@@ -24,6 +26,8 @@ examples:
     loadid info bare.npy --fs 10000 --columns force,acc --unit force=N --unit acc=g
   what a result says, and how it was found:
     loadid info result.h5 --details
+  what the code of a flag means, with an example and the cure:
+    loadid info W407
 """
 
 
@@ -81,13 +85,16 @@ def info(
     dict
         ``kind`` is ``"log"`` (with ``records``, or with ``tables`` and ``to_read_it`` where something must be stated
         first), ``"load estimate"`` (with ``summary``), ``"measured model"`` (with ``sensors``, ``hits``, ...) or
-        ``"universal file"`` (with the ``content`` of one that holds no record).
+        ``"universal file"`` (with the ``content`` of one that holds no record); of a guard code, where no file is
+        called so, ``"guard code"`` (with what the table of codes says).
 
     Raises
     ------
     InputError
         If the file is no such file, damaged, or not usable.
     """
+    if (code := str(path).upper().removeprefix("LID-")) in codes() and not Path(path).exists():
+        return {"kind": "guard code", **_code(code)}
     kind = None if Path(path).is_dir() else storage.kind_of(path)
     if kind is None and (held := universal(path)):
         return {"kind": "universal file", "file": str(path), "content": held}
@@ -104,6 +111,21 @@ def info(
     if kind == "table of FRFs":
         return {"kind": kind, "file": str(path), "content": _table(path)}
     return {"kind": kind, "file": str(path), "content": _outline(storage.read(path, kind))}
+
+
+def _code(code: str) -> dict[str, Any]:
+    """What the table of codes says of one of them."""
+    guard = codes()[code]
+    advice = on_command_line(guard.advice)
+    return {"code": guard.code, "title": guard.title, "level": guard.level, "stage": guard.stage,
+            "condition": guard.condition, "example": guard.example, "advice": advice, "docs": guard.docs}  # fmt: skip
+
+
+def show_code(data: dict[str, Any]) -> str:
+    """A guard code as text: what it is, when it is raised, how a flag reads, what to do."""
+    lines = [f"{data['code']} ({data['level']}, {data['stage']}): {data['title']}", f"  when: {data['condition']}",
+             f"  example: {data['example']}", f"  what to do: {data['advice']}", f"  more: {data['docs']}"]  # fmt: skip
+    return "\n".join(lines)
 
 
 def _log(path: str | Path, records: list[str] | None, reading: dict[str, Any]) -> dict[str, Any]:
@@ -177,6 +199,8 @@ def show_record(record: dict[str, Any]) -> str:
 
 def show(data: dict[str, Any]) -> str:
     """Answer of `info` as text."""
+    if data["kind"] == "guard code":
+        return show_code(data)
     if "tables" in data:
         shown = [_show_table(t) for t in data["tables"]]
         return "\n".join([f"{data['file']}: {_counted(len(shown))}", *shown, data["to_read_it"]])
@@ -231,7 +255,7 @@ def _lines(tree: Any, indent: str) -> list[str]:
 
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
-    parser.add_argument("file", metavar="FILE", help="log, model or result")
+    parser.add_argument("file", metavar="FILE", help="log, model or result; or the code of a flag, W407")
     parser.add_argument("--json-full", action="store_true", help="as --json, with the arrays of a result")
     add_details(parser)
     add_log_options(parser, several=True)
@@ -243,4 +267,4 @@ def _run(args: Namespace) -> int:
     return 0
 
 
-command = Command("info", "say what is in a log, a model or a result file", _configure, _run)
+command = Command("info", "say what is in a log, a model or a result, or what a flag means", _configure, _run)

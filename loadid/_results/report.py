@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from structures._flags import codes
+from structures._flags import table as guards
 from structures.errors import plain
 
 from .. import _page
@@ -96,7 +98,7 @@ def fragment(estimate: LoadEstimate) -> str:
     rows = _told(estimate)
     answer, picture = _page.joined(_answer(estimate, rows), checked(estimate)), _picture(estimate, None, page=False)
     folded = [("Every load", _every(estimate, rows)), ("Flags", flag_list(estimate))]
-    return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate), folded)
+    return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate, linked=False), folded)
 
 
 def about(e: LoadEstimate) -> str:
@@ -161,14 +163,17 @@ def checked(e: LoadEstimate) -> Html:
     )
 
 
-def cautions(e: LoadEstimate) -> Html:
-    """The few cautions that are expected to matter most, and how many remarks there are besides."""
+def cautions(e: LoadEstimate, *, linked: bool = True) -> Html:
+    """The few cautions that are expected to matter most, and how many remarks there are besides.
+
+    `linked`: each code leads to what it means, further down on the page.
+    """
     shown = [flag for flag in e.cautions if flag.code not in (UNEXPLAINED, NOT_TOLD)]
     few, rest = shown[:CAUTIONS], len(e.flags) - min(len(shown), CAUTIONS)
     more = f"{rest} more remark{'s' * (rest != 1)} below, under Flags" if rest else ""
     if not few:
         return _page.joined(_page.paragraphs("No caution was raised."), _page.part("quiet", more) if more else "")
-    return _page.part("cautions", few, more)
+    return _page.part("cautions", few, more, linked)
 
 
 # -- sections ---------------------------------------------------------------------------------------------------------
@@ -236,8 +241,11 @@ def _notes(e: LoadEstimate) -> Html | str:
 
 
 def flag_list(e: LoadEstimate) -> Html:
-    """The flags, the gravest first."""
-    return _page.part("flags", sort(e.flags)) if e.flags else _page.paragraphs("No guard raised a flag.")
+    """The flags, the gravest first, and what the table says of their codes."""
+    if not e.flags:
+        return _page.paragraphs("No guard raised a flag.")
+    raised = codes(e.flags)
+    return _page.part("flags", sort(e.flags), [guard for code, guard in guards().items() if code in raised])
 
 
 def _choice(e: LoadEstimate) -> Html:

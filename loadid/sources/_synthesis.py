@@ -112,9 +112,9 @@ def synthesise(
 
     Notes
     -----
-    Complex amplitudes: y = H f, E|dy|^2 = h C h^H + sum_j var(h_j) |f_j|^2. Densities: S_yy = h S_ff h^H, to first
-    order with the std of the autospectra as uncorrelated. Histories: var y_n = w^T C w with the weights w of a row of
-    the convolution, at least the response to the stated bias.
+    Complex amplitudes: y = H f, E abs(dy)^2 = h C h^H + sum_j var(h_j) abs(f_j)^2. Densities: S_yy = h S_ff h^H, to
+    first order with the std of the autospectra as uncorrelated. Histories: var y_n = w^T C w with the weights w of a
+    row of the convolution, at least the response to the stated bias.
     """
     kind, rows = kind_of(estimate), rows_of(model, sensors)
     chosen = tuple(model.sensors[i] for i in rows)

@@ -198,8 +198,9 @@ class LayerGrid:
     def tractions(self, displacements: ArrayLike, lam: float = 1e-3) -> Array:
         """Tractions (Pa), (ny, nx, 3), from the motion of the surface (ny, nx, 3) (m), regularised.
 
-        Minimises |G t - u|^2 + (lam w1)^2 |t|^2 over tractions on the grid, w1 the largest compliance: Tikhonov with
-        the identity. Conjugate gradients with the transform alone as preconditioner, which is exact away from the edge.
+        Minimises norm(G t - u)^2 + (lam w1)^2 norm(t)^2 over tractions on the grid, w1 the largest compliance:
+        Tikhonov with the identity. Conjugate gradients with the transform alone as preconditioner, which is exact
+        away from the edge.
 
         Parameters
         ----------

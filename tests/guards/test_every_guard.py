@@ -45,6 +45,7 @@ CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *tes
 CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES, *test_tactile.CASES]
 CASES += [*test_modes.CASES, *test_offsets.CASES, *test_unexplained.CASES, *test_faults.CASES]
 CASES += [*test_vibration.CASES, *test_not_told.CASES]
+FIRST = {case.code: case for case in reversed(CASES)}
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure
 
@@ -90,6 +91,10 @@ def test_triggered(case):
     assert re.search(case.says, str(flag), re.DOTALL), str(flag)
     assert len(flag.advice) > 8
     assert flag.evidence.name
+    if case is FIRST[case.code]:  # the example of the table, up to its numbers, as far as its first words go
+        stored = table()[case.code].example
+        assert page.shape(page.example(flag))[:60] == page.shape(stored)[:60], "python -m tests.guards.page --examples"
+        assert flag.evidence.name == "refusal" or f"[{flag.evidence.name} = " in stored
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -135,7 +140,7 @@ def test_a_flag_does_not_repeat_the_advice_of_the_table():
 def test_the_table_is_whole():
     assert list(table()) == sorted(table(), key=lambda code: code[1:])
     for code, guard in table().items():
-        assert min(len(guard.title), len(guard.condition), len(guard.advice)) > 8, code
+        assert min(len(guard.title), len(guard.condition), len(guard.advice), len(guard.example)) > 8, code
         assert not guard.condition.endswith("."), code
 
 

@@ -91,6 +91,7 @@ def test_a_face_is_kept_for_its_unknowns_alone(L: Array | None) -> None:
         held[free] = weight
         want = np.linalg.solve(dense[np.ix_(free, free)] + weight * np.eye(len(free)), right[free])
         np.testing.assert_allclose(q.factor(held).solve(right)[free], want, atol=1e-8 * np.abs(want).max())
+    assert not q.factor(np.full(60, np.inf)).solve(rng.standard_normal(60)).any()  # all are held
 
 
 def problem(L: Array | None, cones: bool) -> LinearProblem:

@@ -17,6 +17,7 @@ from loadid._commands import demo as demonstration
 from loadid._results.summary import against
 from loadid.settings import Lambda, Penalty, Sparsity
 from structures import Channel
+from structures._advice import on_command_line
 from structures.errors import InputError, NotIdentifiable
 from tests.data import measured
 
@@ -226,6 +227,22 @@ def test_info_of_a_log(run, logs):
     assert channel["max"] == pytest.approx(90, rel=0.01)
     other = json.loads(run("info", logs[0], "--json", "--unit", "F=kN")[1])
     assert other["records"][0]["channels"][0]["max"] == pytest.approx(90e3, rel=0.01)
+
+
+def test_info_of_a_guard_code_says_what_the_table_says(run, tmp_path, monkeypatch):
+    from structures._flags import table
+
+    monkeypatch.chdir(tmp_path)
+    for word in ("W407", "lid-w407"):
+        code, out, _ = run("info", word)
+        guard = table()["W407"]
+        assert code == 0
+        assert all(text in out for text in (guard.title, guard.condition, guard.example, guard.docs)), out
+    code, out, _ = run("info", "E501", "--json")
+    assert (code, json.loads(out)["advice"]) == (0, on_command_line(table()["E501"].advice))
+    (tmp_path / "W407").write_text("nothing")  # a file of this name is a file
+    assert run("info", "W407")[0] == 3
+    assert run("info", "W999")[0] == 3
 
 
 def test_info_of_a_log_whose_units_must_be_stated(run, tmp_path):

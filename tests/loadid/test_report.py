@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import html
 import json
 import re
 import subprocess
@@ -16,7 +17,7 @@ from loadid._page.chart import COLUMNS
 from loadid._results.report import fragment, page
 from loadid._results.summary import plus_minus
 from structures import Flag
-from structures._flags import Evidence
+from structures._flags import Evidence, table
 from structures.errors import InputError
 from tests.loadid.made import CERTIFICATE, half_sine, impact, static
 
@@ -113,7 +114,7 @@ def test_nothing_is_fetched(whole):
     read = Page(whole)
     assert all(source.startswith("data:image/") for source in [*read.values("src"), *read.values("srcset")])
     assert not set(read.tags) & {"link", "iframe", "object", "embed", "base", "form"}
-    assert not read.values("href")
+    assert all(target.startswith("#") for target in read.values("href"))  # places on the page itself
     style = next(t for t in read.texts if "color-scheme" in t)
     assert "url(" not in style
     assert "@import" not in style
@@ -311,3 +312,17 @@ def test_the_measured_line_is_seen_under_the_predicted_one():
     figure = impact().plot("response")
     lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
     assert lines["measured"].get_linewidth() > 3 * lines["predicted"].get_linewidth()
+
+
+def test_every_code_leads_to_what_it_means():
+    """To the row of the table, on the same page, and to the command that prints it; a fragment has no links."""
+    flags = tuple(Flag(code, Evidence("a", 1.0), "found") for code in ("W412", "W403", "W403", "N303"))
+    text = page(small(flags=flags))
+    for code in ("W412", "W403", "N303"):
+        guard = table()[code]
+        assert text.count(f'<dt id="LID-{code}">{code} ') == 1
+        assert html.escape(guard.condition, quote=True).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text
+        assert f"loadid info {code}" in text
+    assert set(re.findall(r'href="#(LID-\w+)"', text)) <= set(re.findall(r'id="(LID-\w+)"', text))
+    assert 'href="#LID-W403"' in text
+    assert 'href="#LID' not in fragment(small(flags=flags))

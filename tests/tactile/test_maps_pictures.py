@@ -273,7 +273,8 @@ class _Page(HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.sources += [value or "" for name, value in attrs if name in ("src", "srcset", "href")]
+        self.sources += [value or "" for name, value in attrs if name in ("src", "srcset", "href")
+                         and not (tag == "a" and (value or "").startswith("#"))]  # fmt: skip
         if tag not in ("meta", "img", "br", "source"):
             self.open.append(tag)
 

@@ -461,5 +461,7 @@ class FewFactor:
     def solve(self, r: Array) -> Array:
         """Solution (size,), 0 where held."""
         out = np.zeros(len(r))
+        if not len(self.free):
+            return out
         out[self.free] = self.face.step(np.zeros(len(self.face.W)), -r[self.free], np.zeros(0))[0]
         return out
