@@ -42,14 +42,14 @@ class Reading:
     ----------
     given : mapping
         Keyword arguments of `loadid.read`; where there are none, those of the job.
-    record : str, optional
+    record : str or list of str, optional
         Record of a file that holds several.
     truth : sequence of str
         Channels of the known loads, in the order of the loads of the model; default those of the same names.
     """
 
     given: Mapping[str, Any]
-    record: str | None = None
+    record: str | Sequence[str] | None = None
     truth: Sequence[str] = ()
 
     def said(self) -> dict[str, Any]:

@@ -170,7 +170,7 @@ class Guide:
     # -- signed -------------------------------------------------------------------------------------------------------
     def sign(
         self, number: int, evidence: Sequence[str | os.PathLike[str]] = (), *, by: str = "", note: str = "",
-        reading: Mapping[str, Any] | None = None, record: str | None = None, truth: Sequence[str] = (),
+        reading: Mapping[str, Any] | None = None, record: str | Sequence[str] | None = None, truth: Sequence[str] = (),
         preview: bool = False, progress: Callable[[float, str], None] | None = None,
     ) -> tuple[Guide, Signature]:  # fmt: skip
         """Compute a step and sign it.
@@ -184,7 +184,7 @@ class Guide:
             Who signs, default the name at the system; words beside the figures.
         reading : mapping, optional
             Keyword arguments of `loadid.read` for the evidence; default those of the job.
-        record : str, optional
+        record : str or list of str, optional
             Record of a log that holds several.
         truth : sequence of str
             Channels of the known loads.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from argparse import ArgumentParser, ArgumentTypeError
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
@@ -56,7 +56,7 @@ class Desk:
         """Put a log there, read as words have it that options of these names would be given."""
         return self.read_log(path, record=record, **_reading(fs, columns, units))
 
-    def read_log(self, path: str | Path, *, record: str = "", **reading: Any) -> dict[str, Any]:
+    def read_log(self, path: str | Path, *, record: str | Sequence[str] = "", **reading: Any) -> dict[str, Any]:
         """Put a log there, read as `loadid.read` reads it, and say what is in it.
 
         Raises
