@@ -28,7 +28,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
-from .discs import EvenEvidence
+from .evidence import EvenEvidence
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare

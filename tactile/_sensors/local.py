@@ -15,10 +15,11 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
 
 from .._arrays import Array, Mask
-from .discs import GROWING, SIZES, SMALLEST, STEP, Disc, DiscFit, Fitted, keep
+from .discs import GROWING, SMALLEST, STEP, Disc, DiscWindows, keep
+from .evidence import SIZES, DiscModel, Fitted, shares
 from .gaussian import around
 from .inversion import FLIP, Answer, Pressed, RegionSolver
 
@@ -29,12 +30,14 @@ SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 MOST = 3  # contacts
+MODELS = 128  # of discs, that are kept
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
 PARTS = 4  # sets of readings that are kept
 TURN, OPEN = 0.02, 1.0  # step of a derivative by log size and ratios; the largest std of these
 QUICK = 3  # steps to sizes and ratios where discs are compared
 NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
 SETTLED = 2  # starts that are followed
+HOPEFUL, BEHIND = 3.0, 25.0  # of log evidence: what one more contact must bring where it starts, a split may cost there
 WAYS, APART, HALF = 4, 0.7, 3  # of splitting a disc: directions, radii to either side, steps of radius
 WEIGHT = 0.02  # of the likeliest disc, below which one is left out of the average
 
@@ -50,10 +53,19 @@ class LocalLoad:
 
 
 @dataclass(eq=False)
-class ContactFit(DiscFit):
+class ContactFit(DiscWindows):
     """Contacts of a frame."""
 
     _parts: dict[bytes, ContactFit] = field(default_factory=dict, init=False)
+    _models: dict[tuple[Disc, ...], DiscModel] = field(default_factory=dict, init=False)
+
+    def model(self, discs: tuple[Disc, ...]) -> DiscModel:
+        """What readings tell of some discs, made once."""
+        found = self._models.get(discs)
+        if found is None:
+            found = DiscModel(self, discs)
+            keep(self._models, discs, found, MODELS)
+        return found
 
     # -- search -------------------------------------------------------------------------------------------------------
     @cached_property
@@ -68,9 +80,9 @@ class ContactFit(DiscFit):
         share = np.sqrt(self.problem.prior.share)
         turned, values = [], []
         for disc in discs:
-            w = self._made(disc, LOOKED)
-            q = w.modes.shape[1]
-            A = w.columns[:, : 3 * q] * np.repeat(share, q)
+            nodes, modes, _ = self.modes(disc, LOOKED)
+            q = modes.shape[1]
+            A = self.columns(nodes, modes)[:3].reshape(3 * q, -1).T * np.repeat(share, q)
             A = np.pad(A, ((0, 0), (0, 3 * (LOOKED - q))))
             U, s, _ = np.linalg.svd(A, full_matrices=False)
             turned.append(U)
@@ -80,7 +92,8 @@ class ContactFit(DiscFit):
     def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
         """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
         discs, columns, values = self._looks
-        on = (columns.T @ self._left(z, known)).reshape(len(discs), values.shape[1])
+        left = self.model(known.discs).left(z, known.at)
+        on = (columns.T @ left).reshape(len(discs), values.shape[1])
         v = SIZES[:, None, None] ** 2 * values
         gain = 0.5 * np.sum(on**2 * v / (1 + v) - np.log1p(v), axis=2)
         best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
@@ -92,21 +105,12 @@ class ContactFit(DiscFit):
                 out.append((discs[k], float(size[k])))
         return out
 
-    def _left(self, z: Array, known: Fitted) -> Array:
-        """What known contacts and the image do not explain of readings."""
-        return np.asarray(z - self._all(known.discs) @ self._likeliest(z, known.discs, known.at))
-
-    def _likeliest(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
-        """Modes (N,) of discs, of the errors of the mesh and of the image."""
-        told = self._turned(discs, at, self._all(discs).T @ z, back=True)
-        return self._turned(discs, at, np.asarray(np.linalg.solve(self._within(discs, at), told), float))
-
     def settled(self, z: Array, found: Fitted, seen: dict[tuple[Disc, ...], Fitted]) -> Fitted:
         """The likeliest discs near some, by steps in place and radius."""
 
         def at(discs: tuple[Disc, ...]) -> Fitted:
             if discs not in seen:
-                seen[discs] = self.fitted(z, discs, found.at, found.evidence - NEARLY, QUICK)
+                seen[discs] = self.model(discs).fitted(z, found.at, found.evidence - NEARLY, QUICK)
             return seen[discs]
 
         for step in (2, 1):
@@ -125,19 +129,21 @@ class ContactFit(DiscFit):
                                 break
                 if found is before:
                     break
-        seen[found.discs] = found = self.fitted(z, found.discs, found.at)
+        seen[found.discs] = found = self.model(found.discs).fitted(z, found.at)
         return found
 
     def contacts(self, z: Array) -> list[Fitted]:
         """Contacts of whitened readings (m,), and others of nearly their evidence; none where nothing is found."""
-        nothing = np.empty((0, 3))
-        known = Fitted((), nothing, self._value(z, (), nothing.ravel())[0])
+        known = self.model(()).fitted(z, np.empty((0, 3)))
         best: list[Fitted] = []
         while len(known.discs) < MOST:
             seen: dict[tuple[Disc, ...], Fitted] = {}
-            starts = [*self._one_more(z, known), *self._split(z, known)]
+            starts = [f for f in self._one_more(z, known) if f.evidence > known.evidence + HOPEFUL]
+            starts += [f for f in self._split(z, known) if f.evidence > known.evidence - BEHIND]
             starts.sort(key=lambda f: -f.evidence)
             starts = starts[: SETTLED if len(known.discs) < 2 else 1]
+            if not starts:
+                break
             found = max((self.settled(z, f, seen) for f in starts), key=lambda f: f.evidence)
             best += seen.values()
             if found.evidence < known.evidence + WORTH:
@@ -150,7 +156,7 @@ class ContactFit(DiscFit):
 
     def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
         """Known contacts and one that explains most of what they leave."""
-        return [self.fitted(z, (*known.discs, disc), np.vstack([known.at, [size, 0.0, 0.0]]))
+        return [self.model((*known.discs, disc)).fitted(z, np.vstack([known.at, [size, 0.0, 0.0]]))
                 for disc, size in self.look(z, known)[: 1 if known.discs else LOOKS]]  # fmt: skip
 
     def _split(self, z: Array, known: Fitted) -> list[Fitted]:
@@ -165,7 +171,7 @@ class ContactFit(DiscFit):
                 if all(map(self.allowed, pair)):
                     discs = (*known.discs[:j], *known.discs[j + 1 :], *pair)
                     start = np.vstack([np.delete(known.at, j, axis=0), known.at[j], known.at[j]])
-                    out.append(self.fitted(z, discs, start))
+                    out.append(self.model(discs).fitted(z, start))
         return out
 
     # -- answer -------------------------------------------------------------------------------------------------------
@@ -217,20 +223,20 @@ class ContactFit(DiscFit):
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
         inner = [np.flatnonzero(self.inside(d)) for d in f.discs]
-        for disc, nodes, small in zip(f.discs, inner, self._small(f.discs, f.at), strict=True):
+        for disc, nodes, at in zip(f.discs, inner, f.at, strict=True):
             held[nodes] = True
-            C = self._covariance(disc, nodes) + FLOOR * np.eye(len(nodes))
-            spread[np.ix_(nodes, nodes)] += C[:, :, None, None] * (small @ small.T)
+            C = self.covariance(disc, nodes) + FLOOR * np.eye(len(nodes))
+            spread[np.ix_(nodes, nodes)] += C[:, :, None, None] * shares(*at)
         nodes = np.flatnonzero(held)
         n = 3 * len(nodes)
         C = spread[np.ix_(nodes, nodes)].transpose(0, 2, 1, 3).reshape(n, n)
         L = solve_triangular(np.linalg.cholesky(C), np.eye(n), lower=True)
         noise = np.eye(len(z)) + self.moved @ self.moved.T
-        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
+        for disc, at in zip(f.discs, f.at, strict=True):
             w = self.window(disc)
-            q = w.modes.shape[1]
-            for k in range(3 * q, w.columns.shape[1], 3 * q):
-                made = w.columns[:, k : k + 3 * q] @ np.kron(small, np.eye(q))
+            small = np.linalg.cholesky(shares(*at))
+            for part in w.made[1:]:
+                made = w.basis @ np.einsum("ab,aqr->rbq", small, part).reshape(w.basis.shape[1], -1)
                 noise += made @ made.T
         factor = np.linalg.cholesky(noise)
         columns = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -256,60 +262,45 @@ class ContactFit(DiscFit):
 
     def _apart(self, z: Array, f: Fitted) -> Array:
         """What a std of each of the sizes and ratios, which the readings leave open, changes of the load (n, 3 J)."""
-        at = f.at.ravel()
-        curved, slopes = np.empty((len(at), len(at))), []
-        for k in range(len(at)):
-            step = np.zeros(len(at))
-            step[k] = TURN
-            up, down = at + step, at - step
-            curved[k] = (self._value(z, f.discs, down)[1] - self._value(z, f.discs, up)[1]) / (2 * TURN)
-            slopes.append((self._mean(z, f.discs, up) - self._mean(z, f.discs, down)) / (2 * TURN))
-        w, V = np.linalg.eigh((curved + curved.T) / 2)
+        at, model = f.at.ravel(), self.model(f.discs)
+        told, slopes = model.told(z), []
+        curved = -model.evidence(float(z @ z), told, at, order=2).curved
+        for step in TURN * np.eye(len(at)):
+            up, down = (self._spread(model, model.mean(told, at + sign * step)) for sign in (1, -1))
+            slopes.append((up - down) / (2 * TURN))
+        w, V = np.linalg.eigh(curved)
         return np.array(slopes).T @ (V / np.sqrt(np.maximum(w, 1.0 / OPEN**2)))
 
-    def _mean(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
-        """Load (n,) at sizes and ratios."""
-        m = self._likeliest(z, discs, at)
-        load, k = np.zeros((len(self.places), 3)), 0
-        for disc in discs:
-            w = self.window(disc)
-            q = w.modes.shape[1]
-            load[w.nodes] += w.modes @ m[k : k + 3 * q].reshape(3, q).T
-            k += w.columns.shape[1]
+    def _spread(self, model: DiscModel, modes: list[Array]) -> Array:
+        """Load (n,) of modes of every disc (3, q)."""
+        load = np.zeros((len(self.places), 3))
+        for w, m in zip(model.windows, modes, strict=True):
+            load[w.nodes] += w.modes @ m.T
         return load.ravel()
 
     def _posterior(self, z: Array, f: Fitted) -> tuple[Array, Array, Array]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6)."""
-        nodes = np.unique(np.concatenate([self.window(d).nodes for d in f.discs]))
-        own, columns = (3 * nodes[:, None] + np.arange(3)).ravel(), self._all(f.discs)
-        L, finer, k = np.zeros((columns.shape[1], len(nodes), 3)), np.zeros((len(nodes), 3)), 0
-        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
-            w = self.window(disc)
-            q, at = w.modes.shape[1], np.searchsorted(nodes, w.nodes)
-            for a in range(3):
-                L[k + a * q : k + (a + 1) * q, at, a] = w.modes.T
-            finer[at] += np.outer(w.finer, np.sum(small**2, axis=1))
-            k += w.columns.shape[1]
-        X = self._turned(f.discs, f.at, columns.T, back=True).T
-        back = self._turned(f.discs, f.at, L.reshape(len(L), -1), back=True).T
-        half, found = _solved(X, back, z)
+        model = self.model(f.discs)
+        nodes = np.unique(np.concatenate([w.nodes for w in model.windows]))
+        L, finer = [], np.zeros((len(nodes), 3))
+        for w, at in zip(model.windows, f.at, strict=True):
+            here = np.searchsorted(nodes, w.nodes)
+            modes = np.zeros((len(nodes), w.modes.shape[1]))
+            modes[here] = w.modes
+            L += [np.kron(modes, axis[:, None]) for axis in np.eye(3)]
+            finer[here] += np.outer(w.finer, np.diag(shares(*at)))
+        back, n = np.hstack(L), self.problem.H.shape[1]
+        own = (3 * nodes[:, None] + np.arange(3)).ravel()
+        mean, spread = model.posterior(z, f.at, np.empty((len(z), 0)))
         if self.tolerances:  # of the load that is found without them
+            found = back @ mean
             changes = np.column_stack([found @ change[own] for change in self.tolerances])
-            back = np.hstack([back, np.zeros((len(back), changes.shape[1]))])
-            half, found = _solved(np.hstack([X, changes]), back, z)
-        felt = self.problem.resultant[:, own] @ half
-        mean, variance = np.zeros((2, self.problem.H.shape[1]))
-        mean[own], variance[own] = found, np.sum(half**2, axis=1) + finer.ravel()
-        return mean, variance, felt @ felt.T
-
-
-def _solved(X: Array, back: Array, z: Array) -> tuple[Array, Array]:
-    """Load `back` x (n,) of readings z = X x + e, x and e white: half its covariance, half half', and its mean."""
-    N = X.shape[1]
-    whole = np.vstack([np.column_stack([X, z]), np.eye(N, N + 1)])
-    R = qr(whole, mode="r", check_finite=False)[0]  # its last column is Q'z
-    half = solve_triangular(R[:N, :N], back.T, trans="T").T
-    return half, half @ R[:N, N]
+            mean, spread = model.posterior(z, f.at, changes)
+        felt = self.problem.resultant[:, own] @ back
+        load, variance = np.zeros((2, n))
+        load[own] = back @ mean
+        variance[own] = np.maximum(np.einsum("ij,ij->i", back @ spread, back), 0.0) + finer.ravel()
+        return load, variance, felt @ spread @ felt.T
 
 
 def _score(found: Fitted) -> float:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from case_studies.bodies import Patch, surfaces
 from tactile import Markers, MultilayerPad, Pad, Tolerances
-from tactile._sensors.discs import OWN, Disc, Fitted
+from tactile._sensors.discs import Disc
+from tactile._sensors.evidence import OWN, Fitted
 from tactile._sensors.local import ContactFit
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
@@ -51,11 +54,46 @@ def test_the_evidence_is_that_of_a_dense_covariance() -> None:
             S += A @ np.kron(share, np.eye(q)) @ A.T
     dense = -0.5 * z @ np.linalg.solve(S, z) - 0.5 * np.linalg.slogdet(S)[1]
     ratios = at.reshape(2, 3)[:, 1:]
-    value, slope = f._value(z, discs, at)
-    assert np.isclose(value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
-    for k, step in enumerate(1e-5 * np.eye(6)):
-        up, down = (f._value(z, discs, at + sign * step)[0] for sign in (1, -1))
-        assert np.isclose(slope[k], (up - down) / 2e-5, rtol=1e-4, atol=1e-4)
+    model, square = f.model(discs), float(z @ z)
+    told = model.told(z)
+    here = model.evidence(square, told, at, order=2)
+    assert np.isclose(here.value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
+    for k, step in enumerate(1e-4 * np.eye(6)):
+        up, down = (model.evidence(square, told, at + sign * step, order=1) for sign in (1, -1))
+        assert np.isclose(here.slope[k], (up.value - down.value) / 2e-4, rtol=1e-4, atol=1e-4)
+        assert np.allclose(here.curved[k], (up.slope - down.slope) / 2e-4, rtol=1e-4, atol=1e-4)
+
+
+def test_average_information_is_that_of_observed_and_expected_curvature() -> None:
+    f, at, rng = fit(), np.array([8.0, 0.2, -0.1]), np.random.default_rng(3)
+    model = f.model((Disc(1, -1, 3),))
+    S = model._covariance(model._coefficients(at)[0])
+    draws = rng.multivariate_normal(np.zeros(len(S)), S, size=400)
+    found = [model.evidence(float(t @ t), t, at, order=order).curved for t in draws for order in (1, 2)]
+    average, exact = np.mean(found[::2], axis=0), np.mean(found[1::2], axis=0)
+    assert np.allclose(average, exact, rtol=0.1, atol=0.05 * np.abs(exact).max())
+
+
+def test_sizes_and_ratios_are_the_likeliest() -> None:
+    f, z = fit(), pressed()[0].ravel() / NOISE
+    model = f.model((Disc(2, -1, 4),))
+    found = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
+    square, told = float(z @ z), model.told(z)
+    other = minimize(lambda at: -model.evidence(square, told, at).value, [9.0, -0.1, 0.1], method="Nelder-Mead",
+                     options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 2000})  # fmt: skip
+    assert np.isclose(found.evidence, -other.fun, atol=1e-3)
+    assert np.allclose(found.at.ravel(), other.x, atol=5e-3)
+    assert np.allclose(model.left(z, found.at), z - _signal(f, model, z, found.at), atol=1e-6 * np.abs(z).max())
+
+
+def _signal(f: ContactFit, model: Any, z: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """What the discs and the image explain of readings, by a dense covariance."""
+    S = f.moved @ f.moved.T
+    for w, (size, u, v) in zip(model.windows, at, strict=True):
+        share = np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
+        for A in np.split(w.columns, len(w.made), axis=1):
+            S += A @ np.kron(share, np.eye(w.modes.shape[1])) @ A.T
+    return S @ np.linalg.solve(S + np.eye(len(z)), z)
 
 
 def test_modes_of_a_disc_hold_the_pressures_of_the_prior_in_it() -> None:
