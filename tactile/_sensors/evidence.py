@@ -76,6 +76,11 @@ class DiscModel:
         moved = windows.image[1].T @ coordinates[-1]
         self.rest = np.eye(r) + moved.T @ moved
 
+    @property
+    def modes(self) -> list[int]:
+        """Number of the loads of every disc, along all axes."""
+        return [3 * w.modes.shape[1] for w in self.windows]
+
     # -- readings -----------------------------------------------------------------------------------------------------
     def told(self, z: Array) -> Array:
         """Readings (m,) or (m, k) along the directions that are used (r, ...)."""
@@ -151,6 +156,11 @@ class DiscModel:
         crossed = np.einsum("iab,jba->ij", turned, turned, optimize=True)
         return Local(float(value), slope, 0.5 * crossed - told_by + h @ by - own)
 
+    def unlike(self, z: Array, at: Array) -> float:
+        """Sum of the squares of readings (m,) over the covariance that they should have: m where the model is right."""
+        told = self.told(z)
+        return float(z @ z - told @ told + told @ self._solve(self._factor(at), told))
+
     def fitted(self, z: Array, start: Array, least: float = -np.inf, turns: int = TURNS) -> Fitted:
         """Sizes and ratios of the largest evidence, from a start (J, 3) where they are at least so likely.
 
@@ -159,8 +169,8 @@ class DiscModel:
         """
         low, high = self._bounds
         square, told, at = float(z @ z), self.told(z), np.clip(start.ravel(), low, high)
-        value = self.evidence(square, told, at).value if np.isfinite(least) else np.inf
-        for _ in range(turns if value >= least else 0):
+        value = self.evidence(square, told, at).value
+        for _ in range(turns if value >= least and len(at) else 0):
             here = self.evidence(square, told, at, order=1)
             value = here.value
             w, V = np.linalg.eigh(here.curved)

@@ -12,7 +12,7 @@ from case_studies.bodies import Patch, surfaces
 from tactile import Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import Disc
 from tactile._sensors.evidence import OWN, Fitted
-from tactile._sensors.local import ContactFit
+from tactile._sensors.local import ContactFit, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -132,7 +132,7 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     for change in errors:
         S += np.outer(change @ plain, change @ plain)
     R = f.problem.resultant
-    mean, _, wrench = f._posterior(z, Fitted((disc,), at, 0.0))
+    mean, _, wrench, _ = f._posterior(z, Fitted((disc,), at, 0.0))
     assert np.allclose(mean, reach @ np.linalg.solve(S, z), rtol=1e-7, atol=1e-7 * np.abs(plain).max())
     dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T)) @ R.T
     assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
@@ -151,3 +151,51 @@ def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
 def test_a_frame_at_rest_has_no_contact() -> None:
     rest = NOISE * np.random.default_rng(7).standard_normal((len(markers()), 2))
     assert fit()(rest.ravel() / NOISE) is None
+
+
+def test_a_sensor_whose_image_is_known_to_be_fast_finds_contacts_too() -> None:
+    y, force = pressed()
+    pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
+    found = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), image=None, choice=0.03).estimate(y)
+    assert np.all(np.abs(found.resultant().value - force) < 0.15 * 0.15)
+
+
+def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> None:
+    """A hundred markers at five times the noise: what size and ratios leave open is no small normal error."""
+    f, (y, _) = fit(), pressed()
+    z = y.ravel() / NOISE / 5 + 0.98 * np.random.default_rng(2).standard_normal(y.size)
+    model, disc = f.model((Disc(2, -1, 4),)), (Disc(2, -1, 4),)
+    best = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
+    square, told, R = float(z @ z), model.told(z), f.problem.resultant
+    w, V = np.linalg.eigh(-model.evidence(square, told, best.at.ravel(), order=2).curved)
+    line, logs, forces, spreads = np.linspace(-5, 5, 11), [], [], []
+    for by in np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3):
+        at = best.at.ravel() + V @ (by / np.sqrt(w))
+        value = model.evidence(square, told, at).value
+        if value < best.evidence - 12:
+            continue
+        mean, _, wrench, pull = f._posterior(z, Fitted(disc, at.reshape(1, 3), value))
+        logs.append(value + pull)
+        forces.append((R @ mean)[2])
+        spreads.append(wrench[2, 2])
+    p = np.exp(np.array(logs) - max(logs))
+    p /= p.sum()
+    middle = p @ np.array(forces)
+    std = np.sqrt(p @ (np.array(spreads) + np.array(forces) ** 2) - middle**2)
+    cases = f._cases(z, [best])
+    weights, found = np.array([c[0] for c in cases]), np.array([(R @ c[1])[2] for c in cases])
+    spread = np.sqrt(weights @ (found**2 + [c[3][2, 2] for c in cases]) - (weights @ found) ** 2)
+    assert abs(weights @ found - middle) < 0.2 * std
+    assert np.isclose(spread, std, rtol=0.2)
+    assert 0.95 * spread < _reach(cases, R)[2] < 2 * spread
+
+
+def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts() -> None:
+    """Where the press is too light to be found, the band holds forces of that order and the true one."""
+    f, (y, force) = fit(), pressed()
+    light = 0.02 * (y - NOISE * np.random.default_rng(5).standard_normal(y.shape))
+    z = (light + NOISE * np.random.default_rng(6).standard_normal(y.shape)).ravel() / NOISE
+    hidden = np.sqrt(f.hidden(z))
+    assert f(z) is None
+    assert abs(0.02 * force[2]) < 2 * hidden < 0.02
+    assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)
