@@ -67,12 +67,14 @@ class DiscModel:
         r, ends = self.on.shape[1], np.cumsum([0, *(b.shape[1] for b in self.bases)])
         coordinates = np.split(self.on, ends[1:-1])
         self.X = [w.made @ on for w, on in zip(self.windows, coordinates, strict=False)]  # (parts, 3, q, r)
-        K = []
-        for X in self.X:
+        K = np.empty((len(discs), len(PAIRS), r, r))
+        for X, own in zip(self.X, K, strict=True):
             by = X.transpose(1, 0, 2, 3).reshape(3, -1, r)
-            products = [by[a].T @ by[b] for a, b in PAIRS]
-            K += [p if a == b else p + p.T for p, (a, b) in zip(products, PAIRS, strict=True)]
-        self.K = np.array(K).reshape(len(K), r * r)
+            for k, (a, b) in enumerate(PAIRS):
+                np.matmul(by[a].T, by[b], out=own[k])
+                if a != b:
+                    own[k] += own[k].T.copy()
+        self.K = K.reshape(len(discs) * len(PAIRS), r * r)
         moved = windows.image[1].T @ coordinates[-1]
         self.rest = np.eye(r) + moved.T @ moved
 

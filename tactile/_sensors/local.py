@@ -18,9 +18,9 @@ from scipy import sparse
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
-from .._arrays import Array, Mask
+from .._arrays import Array, Index, Mask
 from .discs import keep
-from .evidence import Fitted, shares
+from .evidence import DiscModel, Fitted, shares
 from .gaussian import around
 from .inversion import FLIP, Answer, Pressed, RegionSolver
 from .search import ContactSearch, score
@@ -30,6 +30,9 @@ SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 PARTS = 4  # sets of readings that are kept
+INNER = (
+    4.0  # log evidence of what a contact must bring that is for its size and ratios, where these count by themselves
+)
 OPEN = 1.0  # the largest std of log size and ratios
 TRUSTED = 2.0  # log of what a normal law at the maximum may be wrong by, where it stands for the evidence
 NEGLIGIBLE = 1e-4  # weight
@@ -103,9 +106,10 @@ class ContactFit(ContactSearch):
         """
         log, out = [], []
         for f in found:
+            laid = self._laid(self.model(f.discs))
             for at, weight in self._about(z, f):
-                *loads, pull = self._posterior(z, Fitted(f.discs, at, f.evidence))
-                log.append(score(f) + weight + pull)
+                *loads, pull = self._posterior(z, replace(f, at=at), laid)
+                log.append(score(f) + INNER * len(f.discs) + weight + pull)
                 out.append(loads)
         weights = np.exp(np.array(log) - max(log))
         weights = weights / weights.sum()
@@ -118,11 +122,12 @@ class ContactFit(ContactSearch):
         here = model.evidence(square, told, at, order=2)
         w, V = np.linalg.eigh(-here.curved)
         w = np.maximum(w, 1.0 / OPEN**2)
+        room = -float(np.sum(np.log(w))) / 2 - np.log(2 * count)
         out = []
         for step in np.sqrt(count) * (V / np.sqrt(w)).T:
             for to in (at + step, at - step):
                 worth = model.evidence(square, told, to).value - f.evidence + count / 2
-                out.append((to.reshape(-1, 3), float(np.clip(worth, -TRUSTED, TRUSTED) - np.sum(np.log(w)) / 2)))
+                out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
         return out
 
     def pressed(self, z: Array, local: LocalLoad, wide: float, friction: float | None) -> Pressed:
@@ -171,28 +176,33 @@ class ContactFit(ContactSearch):
     def _near(self) -> sparse.csr_array:
         return around(self.places, BESIDE * self.pitch)
 
-    def _posterior(self, z: Array, f: Fitted) -> tuple[Array, Array, Array, float]:
-        """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
-        model = self.model(f.discs)
+    def _laid(self, model: DiscModel) -> tuple[Index, Array]:
+        """Loads (k,) that discs hold, and what these are (k, modes) of their modes."""
         nodes = np.unique(np.concatenate([w.nodes for w in model.windows]))
-        L, finer = [], np.zeros((len(nodes), 3))
-        for w, at in zip(model.windows, f.at, strict=True):
-            here = np.searchsorted(nodes, w.nodes)
+        back = []
+        for w in model.windows:
             modes = np.zeros((len(nodes), w.modes.shape[1]))
-            modes[here] = w.modes
-            L += [np.kron(modes, axis[:, None]) for axis in np.eye(3)]
-            finer[here] += np.outer(w.finer, np.diag(shares(*at)))
-        back, n = np.hstack(L), self.problem.H.shape[1]
-        own = (3 * nodes[:, None] + np.arange(3)).ravel()
+            modes[np.searchsorted(nodes, w.nodes)] = w.modes
+            back += [np.kron(modes, axis[:, None]) for axis in np.eye(3)]
+        return (3 * nodes[:, None] + np.arange(3)).ravel(), np.hstack(back)
+
+    def _posterior(
+        self, z: Array, f: Fitted, laid: tuple[Index, Array] | None = None
+    ) -> tuple[Array, Array, Array, float]:
+        """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
+        model, n = self.model(f.discs), self.problem.H.shape[1]
+        own, back = laid or self._laid(model)
         mean, spread = model.posterior(z, f.at, np.empty((len(z), 0)))
         if self.tolerances:  # of the load that is found without them
             found = back @ mean
             changes = np.column_stack([found @ change[own] for change in self.tolerances])
             mean, spread = model.posterior(z, f.at, changes)
         felt = self.problem.resultant[:, own] @ back
-        load, variance = np.zeros((2, n))
+        load, variance = np.zeros(n), np.zeros(n)
         load[own] = back @ mean
-        variance[own] = np.maximum(np.einsum("ij,ij->i", back @ spread, back), 0.0) + finer.ravel()
+        variance[own] = np.maximum(np.einsum("ij,ij->i", back @ spread, back), 0.0)
+        for w, at in zip(model.windows, f.at, strict=True):
+            variance.reshape(-1, 3)[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
         return load, variance, felt @ spread @ felt.T, _pressing(felt[2], mean, spread, model.modes)
 
 

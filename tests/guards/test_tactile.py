@@ -88,7 +88,7 @@ def flattened(dome: bool) -> tuple[Flag, ...]:
     gel = Pad.dome(8e-3, 4e-3, plinth=1.5e-3, E=147e3, nu=0.45, pitch=1e-3, layers=4) if dome else flat
     line = np.arange(-5e-3, 5.5e-3, 1e-3)
     points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    u = motion_of(points, DomePress(at=(0.6e-3, -0.4e-3), radius=2.5e-3, force=0.3, shear=0.06), pad=gel)
+    u = motion_of(points, DomePress(at=(0.6e-3, -0.4e-3), radius=2.5e-3, force=0.4, shear=0.08), pad=gel)
     seen = u + 2e-6 * np.random.default_rng(1).standard_normal(u.shape)
     return MultilayerPad(flat, Markers(points, 2e-6, "XYZ"), choice=0.05).estimate(seen).flags
 
