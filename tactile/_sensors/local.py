@@ -104,16 +104,17 @@ class ContactFit(ContactSearch):
         Discs by their evidence; of each, places about its sizes and ratios by theirs (a spherical rule of third degree
         of the normal law at the maximum, I. Arasaratnam & S. Haykin, IEEE Trans. Autom. Control 54 (2009) 1254).
         """
-        log, out = [], []
+        log: list[float] = []
+        out: list[tuple[Array, Array, Array]] = []
         for f in found:
             laid = self._laid(self.model(f.discs))
             for at, weight in self._about(z, f):
-                *loads, pull = self._posterior(z, replace(f, at=at), laid)
+                mean, variance, spread, pull = self._posterior(z, replace(f, at=at), laid)
                 log.append(score(f) + INNER * len(f.discs) + weight + pull)
-                out.append(loads)
+                out.append((mean, variance, spread))
         weights = np.exp(np.array(log) - max(log))
         weights = weights / weights.sum()
-        return [(float(w), *one) for w, one in zip(weights, out, strict=True) if w > NEGLIGIBLE]
+        return [(float(w), a, b, c) for w, (a, b, c) in zip(weights, out, strict=True) if w > NEGLIGIBLE]
 
     def _about(self, z: Array, f: Fitted) -> list[tuple[Array, float]]:
         """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
