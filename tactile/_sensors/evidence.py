@@ -75,8 +75,8 @@ class DiscModel:
                 if a != b:
                     own[k] += own[k].T.copy()
         self.K = K.reshape(len(discs) * len(PAIRS), r * r)
-        moved = windows.image[1].T @ coordinates[-1]
-        self.rest = np.eye(r) + moved.T @ moved
+        moved = coordinates[-1].T @ windows.image[1]
+        self.rest = np.eye(r) + moved @ moved.T
 
     @property
     def modes(self) -> list[int]:
@@ -218,7 +218,8 @@ class DiscModel:
             return made @ alpha, covariance
         on = self.told(changes)
         within = self._solve(factor, on)
-        known = np.eye(changes.shape[1]) + changes.T @ changes - on.T @ (on - within)
+        beyond = changes.T  # rows: the errors are unknowns whose own covariance is one
+        known = np.eye(len(beyond)) + beyond @ beyond.T - on.T @ (on - within)
         gained = np.linalg.solve(known, changes.T @ z - on.T @ (told - alpha))
         felt = made @ within
         return made @ (alpha - within @ gained), covariance + felt @ np.linalg.solve(known, felt.T)

@@ -186,7 +186,7 @@ class LinearSensor(MarkedSensor):
 
         Notes
         -----
-        Under a contact prior loads are fitted about the contacts of the frame: 0.2 to 1 s of one core for 1849 nodes
+        Under a contact prior loads are fitted about the contacts of the frame: 0.3 to 1.2 s of one core for 1849 nodes
         and 520 markers, more for the first frame. `follow` is for frames in a loop.
 
         Raises
