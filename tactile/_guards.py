@@ -445,6 +445,23 @@ def unpressed(force: Array, covariance: Array) -> Flag | None:
     )  # fmt: skip
 
 
+UNLIKE = 1.7  # rms of readings over what is expected of them; rings on a coarse mesh reach 1.5
+SURE = 6.0  # std of that rms
+
+
+def unlike_pad(rest: float, readings: int) -> Flag | None:
+    """W615: so many readings are, by the rms over what is expected of them, not those of contacts on this pad."""
+    if not (rest**2 - 1) * np.sqrt(readings / 2) > SURE:
+        return None
+    return above(
+        "W615", "rms of the readings over what contacts on this pad let expect", rest, UNLIKE,
+        f"contacts on this pad leave {rest:.2g} times as much of the readings as noise and the error of its mesh let "
+        "expect: it is no such pad, and the force may be wrong by far more than its band",
+        "look for a domed surface that is modelled as flat, for thickness, nu and edges; material.in_situ tells them "
+        "from presses of known force",
+    )  # fmt: skip
+
+
 # -- a gel in use -----------------------------------------------------------------------------------------------------
 SAME_SHAPE = 0.98  # correlation from which two maps have the same shape
 GAIN = (0.9, 1.1)

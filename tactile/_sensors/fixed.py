@@ -28,7 +28,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask
 from .._results import forcemap
 from .._results.forcemap import ForceFacts
-from .discs import EvenEvidence
+from .evidence import EvenEvidence
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
@@ -251,6 +251,8 @@ class QuickMap:
         flags = [guards.unseen(self.recovery) if wrench is None and about is None else None]
         if found is None and wrench is None and about is None:
             covariance = covariance + self._blind(inverse.resultant @ load)
+        if self.contacts is not None and wrench is None and about is None and not quick and not self.normal:
+            covariance[2, 2] += wide**2 * self.contacts.hidden(y / inverse.noise / wide)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=wide * np.sqrt(band.noise))
 
@@ -294,7 +296,8 @@ class QuickMap:
         (strays, misfit), inverse = checked, self.inverse
         path, lost = "frozen inverse", int(np.sum(~np.isfinite(y)))
         path += "" if about is None else f", contacts: {len(about.best.discs)}"
-        flags = [guards.strays(strays), guards.misfit(misfit), *flags]
+        unlike = None if about is None else guards.unlike_pad(about.rest, len(y) - lost)
+        flags = [guards.strays(strays), guards.misfit(misfit), unlike, *flags]
         if found is not None:
             path = f"active sets on the contact region, {found.steps} steps"
             flags.append(guards.stopped(found.converged, found.steps))

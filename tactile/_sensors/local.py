@@ -15,160 +15,51 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import solve_triangular
+from scipy.special import ndtr
 
-from .._arrays import Array, Mask
-from .discs import GROWING, SIZES, SMALLEST, STEP, Disc, DiscFit, Fitted, keep
+from .._arrays import Array, Index, Mask
+from .discs import keep
+from .evidence import DiscModel, Fitted, shares
 from .gaussian import around
 from .inversion import FLIP, Answer, Pressed, RegionSolver
+from .search import ContactSearch, score
 
-COARSE = 3  # steps between discs of the first look
-LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
 SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
-MOST = 3  # contacts
-WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
 PARTS = 4  # sets of readings that are kept
-TURN, OPEN = 0.02, 1.0  # step of a derivative by log size and ratios; the largest std of these
-QUICK = 3  # steps to sizes and ratios where discs are compared
-NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
-SETTLED = 2  # starts that are followed
-WAYS, APART, HALF = 4, 0.7, 3  # of splitting a disc: directions, radii to either side, steps of radius
-WEIGHT = 0.02  # of the likeliest disc, below which one is left out of the average
+INNER = (
+    4.0  # log evidence of what a contact must bring that is for its size and ratios, where these count by themselves
+)
+OPEN = 1.0  # the largest std of log size and ratios
+TRUSTED = 2.0  # log of what a normal law at the maximum may be wrong by, where it stands for the evidence
+NEGLIGIBLE = 1e-4  # weight
+PULLING = 1e-3  # chance of a contact that pulls
+ONE_SIDE, Z95, HALVINGS = 0.975, 1.96, 30  # of a normal law; steps to where a force is so likely to lie
 
 
 @dataclass(frozen=True, eq=False)
 class LocalLoad:
-    """Load (n,), its std (n,), covariance of its resultant (6, 6), number of contacts, and the fit that weighs most."""
+    """Load (n,), its std (n,), covariance of its resultant (6, 6), the fit that weighs most, and how well it fits.
+
+    `rest` is the rms of the readings over what noise, contacts and the error of the mesh let expect.
+    """
 
     load: Array
     std: Array
     wrench: Array
     best: Fitted
+    rest: float
 
 
 @dataclass(eq=False)
-class ContactFit(DiscFit):
-    """Contacts of a frame."""
+class ContactFit(ContactSearch):
+    """Loads about the contacts of a frame."""
 
     _parts: dict[bytes, ContactFit] = field(default_factory=dict, init=False)
 
-    # -- search -------------------------------------------------------------------------------------------------------
-    @cached_property
-    def _looks(self) -> tuple[list[Disc], Array, Array]:
-        """Discs of the first look, their columns (m, discs * c) turned to their own axes, and variances (discs, c)."""
-        h = STEP * self.thickness
-        half = [int(r / h / COARSE) * COARSE for r in self.reach]
-        radius = round(np.log(0.7 / SMALLEST) / np.log(GROWING))
-        discs = [Disc(x, y, radius) for x in range(-half[0], half[0] + 1, COARSE)
-                 for y in range(-half[1], half[1] + 1, COARSE)]  # fmt: skip
-        discs = [d for d in discs if self.allowed(d)]
-        share = np.sqrt(self.problem.prior.share)
-        turned, values = [], []
-        for disc in discs:
-            w = self._made(disc, LOOKED)
-            q = w.modes.shape[1]
-            A = w.columns[:, : 3 * q] * np.repeat(share, q)
-            A = np.pad(A, ((0, 0), (0, 3 * (LOOKED - q))))
-            U, s, _ = np.linalg.svd(A, full_matrices=False)
-            turned.append(U)
-            values.append(s**2)
-        return discs, np.hstack(turned), np.array(values)
-
-    def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
-        """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
-        discs, columns, values = self._looks
-        on = (columns.T @ self._left(z, known)).reshape(len(discs), values.shape[1])
-        v = SIZES[:, None, None] ** 2 * values
-        gain = 0.5 * np.sum(on**2 * v / (1 + v) - np.log1p(v), axis=2)
-        best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
-        out: list[tuple[Disc, float]] = []
-        for k in np.argsort(-best):
-            if best[k] < best.max() - WORTH or len(out) == LOOKS:
-                break
-            if all(np.hypot(discs[k].x - d.x, discs[k].y - d.y) > 2 * COARSE for d, _ in out):
-                out.append((discs[k], float(size[k])))
-        return out
-
-    def _left(self, z: Array, known: Fitted) -> Array:
-        """What known contacts and the image do not explain of readings."""
-        return np.asarray(z - self._all(known.discs) @ self._likeliest(z, known.discs, known.at))
-
-    def _likeliest(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
-        """Modes (N,) of discs, of the errors of the mesh and of the image."""
-        told = self._turned(discs, at, self._all(discs).T @ z, back=True)
-        return self._turned(discs, at, np.asarray(np.linalg.solve(self._within(discs, at), told), float))
-
-    def settled(self, z: Array, found: Fitted, seen: dict[tuple[Disc, ...], Fitted]) -> Fitted:
-        """The likeliest discs near some, by steps in place and radius."""
-
-        def at(discs: tuple[Disc, ...]) -> Fitted:
-            if discs not in seen:
-                seen[discs] = self.fitted(z, discs, found.at, found.evidence - NEARLY, QUICK)
-            return seen[discs]
-
-        for step in (2, 1):
-            while True:
-                before = found
-                for j in range(len(found.discs)):
-                    for move in ((step, 0, 0), (0, step, 0), (0, 0, step)):
-                        for sign in (1, -1):
-                            d = found.discs[j]
-                            other = Disc(d.x + sign * move[0], d.y + sign * move[1], d.radius + sign * move[2])
-                            if not self.allowed(other):
-                                continue
-                            tried = at((*found.discs[:j], other, *found.discs[j + 1 :]))
-                            if tried.evidence > found.evidence:
-                                found = tried
-                                break
-                if found is before:
-                    break
-        seen[found.discs] = found = self.fitted(z, found.discs, found.at)
-        return found
-
-    def contacts(self, z: Array) -> list[Fitted]:
-        """Contacts of whitened readings (m,), and others of nearly their evidence; none where nothing is found."""
-        nothing = np.empty((0, 3))
-        known = Fitted((), nothing, self._value(z, (), nothing.ravel())[0])
-        best: list[Fitted] = []
-        while len(known.discs) < MOST:
-            seen: dict[tuple[Disc, ...], Fitted] = {}
-            starts = [*self._one_more(z, known), *self._split(z, known)]
-            starts.sort(key=lambda f: -f.evidence)
-            starts = starts[: SETTLED if len(known.discs) < 2 else 1]
-            found = max((self.settled(z, f, seen) for f in starts), key=lambda f: f.evidence)
-            best += seen.values()
-            if found.evidence < known.evidence + WORTH:
-                break
-            known = found
-        if not known.discs:
-            return []
-        level = _score(known) + np.log(WEIGHT)
-        return [f for f in best if _score(f) > level]
-
-    def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
-        """Known contacts and one that explains most of what they leave."""
-        return [self.fitted(z, (*known.discs, disc), np.vstack([known.at, [size, 0.0, 0.0]]))
-                for disc, size in self.look(z, known)[: 1 if known.discs else LOOKS]]  # fmt: skip
-
-    def _split(self, z: Array, known: Fitted) -> list[Fitted]:
-        """Known contacts with one of them split along several ways."""
-        out = []
-        for j, disc in enumerate(known.discs):
-            radius = max(0, disc.radius - HALF)
-            off = APART * SMALLEST * GROWING**disc.radius / STEP
-            for turn in np.arange(WAYS) * np.pi / WAYS:
-                x, y = (round(off * np.cos(turn)), round(off * np.sin(turn)))
-                pair = Disc(disc.x + x, disc.y + y, radius), Disc(disc.x - x, disc.y - y, radius)
-                if all(map(self.allowed, pair)):
-                    discs = (*known.discs[:j], *known.discs[j + 1 :], *pair)
-                    start = np.vstack([np.delete(known.at, j, axis=0), known.at[j], known.at[j]])
-                    out.append(self.fitted(z, discs, start))
-        return out
-
-    # -- answer -------------------------------------------------------------------------------------------------------
     def on(self, seen: Mask) -> ContactFit:
         """The fit by some readings, kept for the next frame."""
         key = seen.tobytes()
@@ -187,26 +78,58 @@ class ContactFit(DiscFit):
             return self.on(seen)(z[seen], wide)
         z = z / wide
         found = self.contacts(z)
-        if not found or max(map(_score, found)) < level:
+        if not found or max(map(score, found)) < level:
             return None
-        scores = np.array([_score(f) for f in found])
-        weights = np.exp(scores - scores.max())
-        weights = weights / weights.sum()
-        best = found[int(np.argmax(weights))]
+        cases = self._cases(z, found)
         R, n = self.problem.resultant, self.problem.H.shape[1]
         load, square, wrench = np.zeros(n), np.zeros(n), np.zeros((6, 6))
-        for f, weight in zip(found, weights, strict=True):
-            mean, variance, spread = self._posterior(z, f)
+        for weight, mean, variance, spread in cases:
             made = R @ mean
             load += weight * mean
             square += weight * (variance + mean**2)
             wrench += weight * (spread + np.outer(made, made))
-        made, apart = R @ load, self._apart(z, best)
-        variance = square - load**2 + np.sum(apart**2, axis=1) + self._grain(load)
-        felt = R @ apart
-        wrench = wrench - np.outer(made, made) + felt @ felt.T + WHOLE**2 * np.outer(made, made)
+        made = R @ load
+        variance = square - load**2 + self._grain(load)
+        wrench = wrench - np.outer(made, made)
+        longer = np.maximum(_reach(cases, R) / np.sqrt(np.maximum(np.diag(wrench), np.finfo(float).tiny)), 1.0)
+        wrench = np.outer(longer, longer) * wrench + WHOLE**2 * np.outer(made, made)
         wrench[:3, :3] += (WHOLE * float(np.linalg.norm(made[:3]))) ** 2 * np.eye(3)
-        return LocalLoad(wide * load, wide * np.sqrt(np.maximum(variance, 0.0)), wide**2 * wrench, best)
+        best = max(found, key=score)
+        rest = wide * float(np.sqrt(self.model(best.discs).unlike(z, best.at) / len(z)))
+        return LocalLoad(wide * load, wide * np.sqrt(np.maximum(variance, 0.0)), wide**2 * wrench, best, rest)
+
+    def _cases(self, z: Array, found: list[Fitted]) -> list[tuple[float, Array, Array, Array]]:
+        """Weights (sum 1), and mean and variance of the load (n,), covariance of its resultant (6, 6), of what may be.
+
+        Discs by their evidence; of each, places about its sizes and ratios by theirs (a spherical rule of third degree
+        of the normal law at the maximum, I. Arasaratnam & S. Haykin, IEEE Trans. Autom. Control 54 (2009) 1254).
+        """
+        log: list[float] = []
+        out: list[tuple[Array, Array, Array]] = []
+        for f in found:
+            laid = self._laid(self.model(f.discs))
+            for at, weight in self._about(z, f):
+                mean, variance, spread, pull = self._posterior(z, replace(f, at=at), laid)
+                log.append(score(f) + INNER * len(f.discs) + weight + pull)
+                out.append((mean, variance, spread))
+        weights = np.exp(np.array(log) - max(log))
+        weights = weights / weights.sum()
+        return [(float(w), a, b, c) for w, (a, b, c) in zip(weights, out, strict=True) if w > NEGLIGIBLE]
+
+    def _about(self, z: Array, f: Fitted) -> list[tuple[Array, float]]:
+        """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
+        model, at, square = self.model(f.discs), f.at.ravel(), float(z @ z)
+        told, count = model.told(z), f.at.size
+        here = model.evidence(square, told, at, order=2)
+        w, V = np.linalg.eigh(-here.curved)
+        w = np.maximum(w, 1.0 / OPEN**2)
+        room = -float(np.sum(np.log(w))) / 2 - np.log(2 * count)
+        out = []
+        for step in np.sqrt(count) * (V / np.sqrt(w)).T:
+            for to in (at + step, at - step):
+                worth = model.evidence(square, told, to).value - f.evidence + count / 2
+                out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
+        return out
 
     def pressed(self, z: Array, local: LocalLoad, wide: float, friction: float | None) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone."""
@@ -217,20 +140,20 @@ class ContactFit(DiscFit):
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
         inner = [np.flatnonzero(self.inside(d)) for d in f.discs]
-        for disc, nodes, small in zip(f.discs, inner, self._small(f.discs, f.at), strict=True):
+        for disc, nodes, at in zip(f.discs, inner, f.at, strict=True):
             held[nodes] = True
-            C = self._covariance(disc, nodes) + FLOOR * np.eye(len(nodes))
-            spread[np.ix_(nodes, nodes)] += C[:, :, None, None] * (small @ small.T)
+            C = self.covariance(disc, nodes) + FLOOR * np.eye(len(nodes))
+            spread[np.ix_(nodes, nodes)] += C[:, :, None, None] * shares(*at)
         nodes = np.flatnonzero(held)
         n = 3 * len(nodes)
         C = spread[np.ix_(nodes, nodes)].transpose(0, 2, 1, 3).reshape(n, n)
         L = solve_triangular(np.linalg.cholesky(C), np.eye(n), lower=True)
         noise = np.eye(len(z)) + self.moved @ self.moved.T
-        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
+        for disc, at in zip(f.discs, f.at, strict=True):
             w = self.window(disc)
-            q = w.modes.shape[1]
-            for k in range(3 * q, w.columns.shape[1], 3 * q):
-                made = w.columns[:, k : k + 3 * q] @ np.kron(small, np.eye(q))
+            small = np.linalg.cholesky(shares(*at))
+            for part in w.made[1:]:
+                made = w.basis @ np.einsum("ab,aqr->rbq", small, part).reshape(w.basis.shape[1], -1)
                 noise += made @ made.T
         factor = np.linalg.cholesky(noise)
         columns = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -254,64 +177,56 @@ class ContactFit(DiscFit):
     def _near(self) -> sparse.csr_array:
         return around(self.places, BESIDE * self.pitch)
 
-    def _apart(self, z: Array, f: Fitted) -> Array:
-        """What a std of each of the sizes and ratios, which the readings leave open, changes of the load (n, 3 J)."""
-        at = f.at.ravel()
-        curved, slopes = np.empty((len(at), len(at))), []
-        for k in range(len(at)):
-            step = np.zeros(len(at))
-            step[k] = TURN
-            up, down = at + step, at - step
-            curved[k] = (self._value(z, f.discs, down)[1] - self._value(z, f.discs, up)[1]) / (2 * TURN)
-            slopes.append((self._mean(z, f.discs, up) - self._mean(z, f.discs, down)) / (2 * TURN))
-        w, V = np.linalg.eigh((curved + curved.T) / 2)
-        return np.array(slopes).T @ (V / np.sqrt(np.maximum(w, 1.0 / OPEN**2)))
+    def _laid(self, model: DiscModel) -> tuple[Index, Array]:
+        """Loads (k,) that discs hold, and what these are (k, modes) of their modes."""
+        nodes = np.unique(np.concatenate([w.nodes for w in model.windows]))
+        back = []
+        for w in model.windows:
+            modes = np.zeros((len(nodes), w.modes.shape[1]))
+            modes[np.searchsorted(nodes, w.nodes)] = w.modes
+            back += [np.kron(modes, axis[:, None]) for axis in np.eye(3)]
+        return (3 * nodes[:, None] + np.arange(3)).ravel(), np.hstack(back)
 
-    def _mean(self, z: Array, discs: tuple[Disc, ...], at: Array) -> Array:
-        """Load (n,) at sizes and ratios."""
-        m = self._likeliest(z, discs, at)
-        load, k = np.zeros((len(self.places), 3)), 0
-        for disc in discs:
-            w = self.window(disc)
-            q = w.modes.shape[1]
-            load[w.nodes] += w.modes @ m[k : k + 3 * q].reshape(3, q).T
-            k += w.columns.shape[1]
-        return load.ravel()
-
-    def _posterior(self, z: Array, f: Fitted) -> tuple[Array, Array, Array]:
-        """Mean and variance of the load (n,), covariance of its resultant (6, 6)."""
-        nodes = np.unique(np.concatenate([self.window(d).nodes for d in f.discs]))
-        own, columns = (3 * nodes[:, None] + np.arange(3)).ravel(), self._all(f.discs)
-        L, finer, k = np.zeros((columns.shape[1], len(nodes), 3)), np.zeros((len(nodes), 3)), 0
-        for disc, small in zip(f.discs, self._small(f.discs, f.at), strict=True):
-            w = self.window(disc)
-            q, at = w.modes.shape[1], np.searchsorted(nodes, w.nodes)
-            for a in range(3):
-                L[k + a * q : k + (a + 1) * q, at, a] = w.modes.T
-            finer[at] += np.outer(w.finer, np.sum(small**2, axis=1))
-            k += w.columns.shape[1]
-        X = self._turned(f.discs, f.at, columns.T, back=True).T
-        back = self._turned(f.discs, f.at, L.reshape(len(L), -1), back=True).T
-        half, found = _solved(X, back, z)
+    def _posterior(
+        self, z: Array, f: Fitted, laid: tuple[Index, Array] | None = None
+    ) -> tuple[Array, Array, Array, float]:
+        """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
+        model, n = self.model(f.discs), self.problem.H.shape[1]
+        own, back = laid or self._laid(model)
+        mean, spread = model.posterior(z, f.at, np.empty((len(z), 0)))
         if self.tolerances:  # of the load that is found without them
+            found = back @ mean
             changes = np.column_stack([found @ change[own] for change in self.tolerances])
-            back = np.hstack([back, np.zeros((len(back), changes.shape[1]))])
-            half, found = _solved(np.hstack([X, changes]), back, z)
-        felt = self.problem.resultant[:, own] @ half
-        mean, variance = np.zeros((2, self.problem.H.shape[1]))
-        mean[own], variance[own] = found, np.sum(half**2, axis=1) + finer.ravel()
-        return mean, variance, felt @ felt.T
+            mean, spread = model.posterior(z, f.at, changes)
+        felt = self.problem.resultant[:, own] @ back
+        load, variance = np.zeros(n), np.zeros(n)
+        load[own] = back @ mean
+        variance[own] = np.maximum(np.einsum("ij,ij->i", back @ spread, back), 0.0)
+        for w, at in zip(model.windows, f.at, strict=True):
+            variance.reshape(-1, 3)[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
+        return load, variance, felt @ spread @ felt.T, _pressing(felt[2], mean, spread, model.modes)
 
 
-def _solved(X: Array, back: Array, z: Array) -> tuple[Array, Array]:
-    """Load `back` x (n,) of readings z = X x + e, x and e white: half its covariance, half half', and its mean."""
-    N = X.shape[1]
-    whole = np.vstack([np.column_stack([X, z]), np.eye(N, N + 1)])
-    R = qr(whole, mode="r", check_finite=False)[0]  # its last column is Q'z
-    half = solve_triangular(R[:N, :N], back.T, trans="T").T
-    return half, half @ R[:N, N]
+def _reach(cases: list[tuple[float, Array, Array, Array]], R: Array) -> Array:
+    """Std (6,) of a normal law about the mean of the resultant that holds 95 % of these cases to either side.
+
+    A force that is told by its shear has a long tail: it is a small shear over a ratio that is hardly known.
+    """
+    weights, means = np.array([c[0] for c in cases]), np.array([R @ c[1] for c in cases])
+    stds = np.sqrt(np.maximum([np.diag(c[3]) for c in cases], np.finfo(float).tiny))
+    middle, out = weights @ means / np.sum(weights), np.zeros(means.shape[1])
+    for sign in (1.0, -1.0):
+        low, high = np.zeros_like(out), np.max(np.abs(means - middle) + 10 * stds, axis=0)
+        for _ in range(HALVINGS):
+            half = (low + high) / 2
+            inside = weights @ ndtr((half - sign * (means - middle)) / stds)
+            low, high = np.where(inside < ONE_SIDE, half, low), np.where(inside < ONE_SIDE, high, half)
+        out = np.maximum(out, high / Z95)
+    return out
 
 
-def _score(found: Fitted) -> float:
-    """Log evidence less what as many contacts are worth by chance."""
-    return found.evidence - WORTH * len(found.discs)
+def _pressing(felt: Array, mean: Array, spread: Array, counts: list[int]) -> float:
+    """Log chance that each disc presses, of so many modes each, their mean and covariance; `felt` (modes,) gives Fz."""
+    own = np.repeat(np.eye(len(counts)), counts, axis=1) * felt
+    force, std = own @ mean, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", own, spread, own), np.finfo(float).tiny))
+    return float(np.sum(np.log(np.maximum(ndtr(-force / std), PULLING))))

@@ -96,7 +96,7 @@ def cost(elements: int) -> None:
             Rest(sensor, 3.0),
             EventWatch(sensor.markers.points),
             SlipWatch(),
-            sensor.estimate(motion),
+            sensor.follow(motion),
         )
         frame = LiveFrame(1, 0.0, found, motion, True)
         drawn, number = _Drawn(found), itertools.count()
@@ -107,7 +107,7 @@ def cost(elements: int) -> None:
                 "dots found": lambda: detector(image),  # noqa: B023
                 "dots found and followed": lambda: eye.tracker.step(image),  # noqa: B023
                 "image to motion": lambda: eye.read(image),  # noqa: B023
-                "motion to map": lambda: sensor.estimate(motion),  # noqa: B023
+                "motion to map": lambda: sensor.follow(motion),  # noqa: B023
                 "zero": lambda: rest.update(0, next(number) / 60, y),  # noqa: B023
                 "slip": lambda: slip.update(next(number) / 60, found, found.contact()),  # noqa: B023
                 "events": lambda: watch.seen(1, 0.0, image, none, None, False),  # noqa: B023

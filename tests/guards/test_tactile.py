@@ -7,10 +7,25 @@ from datetime import datetime
 import numpy as np
 
 from structures import Flag
-from tactile import ForceMap, GelSlim, Hertz, Layer, LayerSensor, Markers, Pad, Press, Sphere, View, metrics
+from tactile import (
+    ForceMap,
+    GelSlim,
+    Hertz,
+    Layer,
+    LayerSensor,
+    Markers,
+    MultilayerPad,
+    Pad,
+    Press,
+    Sphere,
+    View,
+    metrics,
+)
 from tactile import _guards as guards
 
 from ..tactile import rigs
+from ..tactile.domes import DomePress
+from ..tactile.domes import motion as motion_of
 from .cases import Case, refused
 
 OLD, NEW = datetime(2024, 5, 1), datetime(2025, 5, 1)
@@ -67,6 +82,17 @@ def layered(nu: float = 0.3223, at: float = 0.0) -> tuple[Flag, ...]:
     return LayerSensor(gel, Markers(points, 2e-6)).estimate(u[:, :2]).flags
 
 
+def flattened(dome: bool) -> tuple[Flag, ...]:
+    """Flags of a press on a dome, or on a flat gel, by a sensor that takes both for flat."""
+    flat = Pad(size=(12e-3, 12e-3), thickness=4e-3, E=147e3, nu=0.45)
+    gel = Pad.dome(8e-3, 4e-3, plinth=1.5e-3, E=147e3, nu=0.45, pitch=1e-3, layers=4) if dome else flat
+    line = np.arange(-5e-3, 5.5e-3, 1e-3)
+    points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    u = motion_of(points, DomePress(at=(0.6e-3, -0.4e-3), radius=2.5e-3, force=0.4, shear=0.08), pad=gel)
+    seen = u + 2e-6 * np.random.default_rng(1).standard_normal(u.shape)
+    return MultilayerPad(flat, Markers(points, 2e-6, "XYZ"), choice=0.05).estimate(seen).flags
+
+
 def hertz(thickness: float) -> tuple[Flag, ...]:
     """Flags of a Hertz contact on a pad, or its refusal."""
     found: list[Flag] = []
@@ -115,6 +141,7 @@ CASES = [
     Case("W613", lambda: layered(at=10e-3), layered, "places at the edge of the window move by"),
     Case("W614", lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.001]), 1e-4 * np.eye(3))),
          lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.5]), 1e-4 * np.eye(3))), "a shear of 0.2 N and no press"),
+    Case("W615", lambda: flattened(dome=True), lambda: flattened(dome=False), "times as much of the readings"),
     Case("W705", lambda: one(guards.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(guards.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(guards.other_calibration(OLD, NEW)), lambda: one(guards.other_calibration(NEW, OLD)),

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 from case_studies.bodies import Patch, surfaces
 from tactile import Markers, MultilayerPad, Pad, Tolerances
-from tactile._sensors.discs import OWN, Disc, Fitted
-from tactile._sensors.local import ContactFit
+from tactile._sensors.discs import Disc
+from tactile._sensors.evidence import OWN, Fitted
+from tactile._sensors.local import ContactFit, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -51,11 +54,46 @@ def test_the_evidence_is_that_of_a_dense_covariance() -> None:
             S += A @ np.kron(share, np.eye(q)) @ A.T
     dense = -0.5 * z @ np.linalg.solve(S, z) - 0.5 * np.linalg.slogdet(S)[1]
     ratios = at.reshape(2, 3)[:, 1:]
-    value, slope = f._value(z, discs, at)
-    assert np.isclose(value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
-    for k, step in enumerate(1e-5 * np.eye(6)):
-        up, down = (f._value(z, discs, at + sign * step)[0] for sign in (1, -1))
-        assert np.isclose(slope[k], (up - down) / 2e-5, rtol=1e-4, atol=1e-4)
+    model, square = f.model(discs), float(z @ z)
+    told = model.told(z)
+    here = model.evidence(square, told, at, order=2)
+    assert np.isclose(here.value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
+    for k, step in enumerate(1e-4 * np.eye(6)):
+        up, down = (model.evidence(square, told, at + sign * step, order=1) for sign in (1, -1))
+        assert np.isclose(here.slope[k], (up.value - down.value) / 2e-4, rtol=1e-4, atol=1e-4)
+        assert np.allclose(here.curved[k], (up.slope - down.slope) / 2e-4, rtol=1e-4, atol=1e-4)
+
+
+def test_average_information_is_that_of_observed_and_expected_curvature() -> None:
+    f, at, rng = fit(), np.array([8.0, 0.2, -0.1]), np.random.default_rng(3)
+    model = f.model((Disc(1, -1, 3),))
+    S = model._covariance(model._coefficients(at)[0])
+    draws = rng.multivariate_normal(np.zeros(len(S)), S, size=400)
+    found = [model.evidence(float(t @ t), t, at, order=order).curved for t in draws for order in (1, 2)]
+    average, exact = np.mean(found[::2], axis=0), np.mean(found[1::2], axis=0)
+    assert np.allclose(average, exact, rtol=0.1, atol=0.05 * np.abs(exact).max())
+
+
+def test_sizes_and_ratios_are_the_likeliest() -> None:
+    f, z = fit(), pressed()[0].ravel() / NOISE
+    model = f.model((Disc(2, -1, 4),))
+    found = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
+    square, told = float(z @ z), model.told(z)
+    other = minimize(lambda at: -model.evidence(square, told, at).value, [9.0, -0.1, 0.1], method="Nelder-Mead",
+                     options={"xatol": 1e-6, "fatol": 1e-9, "maxiter": 2000})  # fmt: skip
+    assert np.isclose(found.evidence, -other.fun, atol=1e-3)
+    assert np.allclose(found.at.ravel(), other.x, atol=5e-3)
+    assert np.allclose(model.left(z, found.at), z - _signal(f, model, z, found.at), atol=1e-6 * np.abs(z).max())
+
+
+def _signal(f: ContactFit, model: Any, z: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """What the discs and the image explain of readings, by a dense covariance."""
+    S = f.moved @ f.moved.T
+    for w, (size, u, v) in zip(model.windows, at, strict=True):
+        share = np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
+        for A in np.split(w.columns, len(w.made), axis=1):
+            S += A @ np.kron(share, np.eye(w.modes.shape[1])) @ A.T
+    return S @ np.linalg.solve(S + np.eye(len(z)), z)
 
 
 def test_modes_of_a_disc_hold_the_pressures_of_the_prior_in_it() -> None:
@@ -94,7 +132,7 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     for change in errors:
         S += np.outer(change @ plain, change @ plain)
     R = f.problem.resultant
-    mean, _, wrench = f._posterior(z, Fitted((disc,), at, 0.0))
+    mean, _, wrench, _ = f._posterior(z, Fitted((disc,), at, 0.0))
     assert np.allclose(mean, reach @ np.linalg.solve(S, z), rtol=1e-7, atol=1e-7 * np.abs(plain).max())
     dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T)) @ R.T
     assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
@@ -113,3 +151,51 @@ def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
 def test_a_frame_at_rest_has_no_contact() -> None:
     rest = NOISE * np.random.default_rng(7).standard_normal((len(markers()), 2))
     assert fit()(rest.ravel() / NOISE) is None
+
+
+def test_a_sensor_whose_image_is_known_to_be_fast_finds_contacts_too() -> None:
+    y, force = pressed()
+    pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
+    found = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), image=None, choice=0.03).estimate(y)
+    assert np.all(np.abs(found.resultant().value - force) < 0.15 * 0.15)
+
+
+def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> None:
+    """A hundred markers at five times the noise: what size and ratios leave open is no small normal error."""
+    f, (y, _) = fit(), pressed()
+    z = y.ravel() / NOISE / 5 + 0.98 * np.random.default_rng(2).standard_normal(y.size)
+    model, disc = f.model((Disc(2, -1, 4),)), (Disc(2, -1, 4),)
+    best = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
+    square, told, R = float(z @ z), model.told(z), f.problem.resultant
+    w, V = np.linalg.eigh(-model.evidence(square, told, best.at.ravel(), order=2).curved)
+    line, logs, forces, spreads = np.linspace(-5, 5, 11), [], [], []
+    for by in np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3):
+        at = best.at.ravel() + V @ (by / np.sqrt(w))
+        value = model.evidence(square, told, at).value
+        if value < best.evidence - 12:
+            continue
+        mean, _, wrench, pull = f._posterior(z, Fitted(disc, at.reshape(1, 3), value))
+        logs.append(value + pull)
+        forces.append((R @ mean)[2])
+        spreads.append(wrench[2, 2])
+    p = np.exp(np.array(logs) - max(logs))
+    p /= p.sum()
+    middle = p @ np.array(forces)
+    std = np.sqrt(p @ (np.array(spreads) + np.array(forces) ** 2) - middle**2)
+    cases = f._cases(z, [best])
+    weights, found = np.array([c[0] for c in cases]), np.array([(R @ c[1])[2] for c in cases])
+    spread = np.sqrt(weights @ (found**2 + [c[3][2, 2] for c in cases]) - (weights @ found) ** 2)
+    assert abs(weights @ found - middle) < 0.2 * std
+    assert np.isclose(spread, std, rtol=0.2)
+    assert 0.95 * spread < _reach(cases, R)[2] < 2 * spread
+
+
+def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts() -> None:
+    """Where the press is too light to be found, the band holds forces of that order and the true one."""
+    f, (y, force) = fit(), pressed()
+    light = 0.02 * (y - NOISE * np.random.default_rng(5).standard_normal(y.shape))
+    z = (light + NOISE * np.random.default_rng(6).standard_normal(y.shape)).ravel() / NOISE
+    hidden = np.sqrt(f.hidden(z))
+    assert f(z) is None
+    assert abs(0.02 * force[2]) < 2 * hidden < 0.02
+    assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)

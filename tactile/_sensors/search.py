@@ -1,0 +1,181 @@
+"""Contacts of one frame, found by the evidence of its readings: discs that hold them, one after another.
+
+Where is looked for first on a coarse lattice, then by steps in place and radius. A contact is added beside those that
+are known, or one of them is split, as long as the readings ask for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from .._arrays import Array
+from .discs import GROWING, SMALLEST, STEP, Disc, DiscWindows, keep
+from .evidence import SIZES, DiscModel, Fitted
+
+COARSE = 3  # steps between discs of the first look
+LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
+MOST = 3  # contacts
+MODELS = 128  # of discs, that are kept
+WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
+QUICK = 3  # steps to sizes and ratios where discs are compared
+NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
+SETTLED = 2  # starts that are followed
+HOPEFUL, BEHIND = 2.0, 40.0  # of log evidence: what one more contact must bring where it starts, a split may cost there
+WAYS, APART, HALF = 4, 0.7, 3  # of splitting a disc: directions, radii to either side, steps of radius
+WEIGHT = 0.02  # of the likeliest disc, below which one is left out of the average
+MOVES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))  # of place and radius
+
+NOTHING = np.empty((0, 3))  # sizes and ratios of no disc
+
+
+@dataclass(eq=False)
+class ContactSearch(DiscWindows):
+    """Finds the contacts of a frame."""
+
+    _models: dict[tuple[Disc, ...], DiscModel] = field(default_factory=dict, init=False)
+
+    def model(self, discs: tuple[Disc, ...]) -> DiscModel:
+        """What readings tell of some discs, made once."""
+        found = self._models.get(discs)
+        if found is None:
+            found = DiscModel(self, discs)
+            keep(self._models, discs, found, MODELS)
+        return found
+
+    # -- search -------------------------------------------------------------------------------------------------------
+    @cached_property
+    def _looks(self) -> tuple[list[Disc], Array, Array, Array]:
+        """Discs of the first look, their columns (m, discs * c) turned to their own axes, and variances (discs, c).
+
+        And normal forces (discs, 1 + c): the square of one per unit of size, and its parts along these axes.
+        """
+        h = STEP * self.thickness
+        half = [int(r / h / COARSE) * COARSE for r in self.reach]
+        radius = round(np.log(0.7 / SMALLEST) / np.log(GROWING))
+        discs = [Disc(x, y, radius) for x in range(-half[0], half[0] + 1, COARSE)
+                 for y in range(-half[1], half[1] + 1, COARSE)]  # fmt: skip
+        discs = [d for d in discs if self.allowed(d)]
+        share = np.sqrt(self.problem.prior.share)
+        turned, values, felt = [], [], []
+        down = self.problem.resultant[2].reshape(-1, 3)[:, 2]
+        for disc in discs:
+            nodes, modes, _ = self.modes(disc, LOOKED)
+            q = modes.shape[1]
+            A = self.columns(nodes, modes)[:3].reshape(3 * q, -1).T * np.repeat(share, q)
+            A = np.pad(A, ((0, 0), (0, 3 * (LOOKED - q))))
+            U, s, V = np.linalg.svd(A, full_matrices=False)
+            turned.append(U)
+            values.append(s**2)
+            g = np.zeros(3 * LOOKED)
+            g[2 * q : 3 * q] = (down[nodes] @ modes) * share[2]
+            felt.append([g @ g, *(V @ g)])
+        return discs, np.hstack(turned), np.array(values), np.array(felt)
+
+    def _gains(self, z: Array) -> tuple[Array, Array, Array]:
+        """Log evidence (sizes, discs) of one disc of the first look and of a size beside none.
+
+        And the variances of modes over their noise (sizes, discs, c), and readings (m,) along these (discs, c).
+        """
+        discs, columns, values, _ = self._looks
+        on = (columns.T @ z).reshape(len(discs), values.shape[1])
+        v = SIZES[:, None, None] ** 2 * values
+        return 0.5 * np.sum(on**2 * v / (1 + v) - np.log1p(v), axis=2), v, on
+
+    def hidden(self, z: Array) -> float:
+        """Mean square (N^2) of the normal force of one contact anywhere, by the evidence of readings (m,)."""
+        seen = np.isfinite(z)
+        gain, v, on = self._gains(np.where(seen, z, 0.0) if not seen.all() else self.model(()).left(z, NOTHING))
+        square, parts = self._looks[3][:, 0], self._looks[3][:, 1:]
+        size = SIZES[:, None]
+        mean = size * np.sum(np.sqrt(v) / (1 + v) * on * parts, axis=2)
+        variance = size**2 * np.maximum(square - np.sum(v / (1 + v) * parts**2, axis=2), 0.0)
+        weights = np.exp(gain - gain.max())
+        return float(np.sum(weights * (mean**2 + variance)) / np.sum(weights))
+
+    def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
+        """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
+        discs = self._looks[0]
+        gain = self._gains(self.model(known.discs).left(z, known.at))[0]
+        best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
+        out: list[tuple[Disc, float]] = []
+        for k in np.argsort(-best):
+            if best[k] < best.max() - WORTH or len(out) == LOOKS:
+                break
+            if all(np.hypot(discs[k].x - d.x, discs[k].y - d.y) > 2 * COARSE for d, _ in out):
+                out.append((discs[k], float(size[k])))
+        return out
+
+    def settled(self, z: Array, found: Fitted, seen: dict[tuple[Disc, ...], Fitted]) -> Fitted:
+        """The likeliest discs near some, by steps in place and radius."""
+
+        def at(discs: tuple[Disc, ...]) -> Fitted:
+            if discs not in seen:
+                seen[discs] = self.model(discs).fitted(z, found.at, found.evidence - NEARLY, QUICK)
+            return seen[discs]
+
+        for step in (2, 1):
+            while True:
+                before = found
+                for j in range(len(found.discs)):
+                    for x, y, radius in MOVES:
+                        d = found.discs[j]
+                        other = Disc(d.x + step * x, d.y + step * y, d.radius + step * radius)
+                        if not self.allowed(other):
+                            continue
+                        tried = at((*found.discs[:j], other, *found.discs[j + 1 :]))
+                        if tried.evidence > found.evidence:
+                            found = tried
+                if found is before:
+                    break
+        seen[found.discs] = found = self.model(found.discs).fitted(z, found.at)
+        return found
+
+    def contacts(self, z: Array) -> list[Fitted]:
+        """Contacts of whitened readings (m,), and others of nearly their evidence; none where nothing is found."""
+        known = self.model(()).fitted(z, NOTHING)
+        best: list[Fitted] = []
+        while len(known.discs) < MOST:
+            seen: dict[tuple[Disc, ...], Fitted] = {}
+            starts = [f for f in self._one_more(z, known) if f.evidence > known.evidence + HOPEFUL]
+            starts += [f for f in self._split(z, known) if f.evidence > known.evidence - BEHIND]
+            starts.sort(key=lambda f: -f.evidence)
+            starts = starts[: SETTLED if len(known.discs) < 2 else 1]
+            if not starts:
+                break
+            found = max((self.settled(z, f, seen) for f in starts), key=lambda f: f.evidence)
+            best += seen.values()
+            if found.evidence < known.evidence + WORTH:
+                break
+            known = found
+        if not known.discs:
+            return []
+        level = score(known) + np.log(WEIGHT)
+        return [f for f in best if score(f) > level]
+
+    def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
+        """Known contacts and one that explains most of what they leave."""
+        return [self.model((*known.discs, disc)).fitted(z, np.vstack([known.at, [size, 0.0, 0.0]]))
+                for disc, size in self.look(z, known)[: 1 if known.discs else LOOKS]]  # fmt: skip
+
+    def _split(self, z: Array, known: Fitted) -> list[Fitted]:
+        """Known contacts with one of them split along several ways."""
+        out = []
+        for j, disc in enumerate(known.discs):
+            radius = max(0, disc.radius - HALF)
+            off = APART * SMALLEST * GROWING**disc.radius / STEP
+            for turn in np.arange(WAYS) * np.pi / WAYS:
+                x, y = (round(off * np.cos(turn)), round(off * np.sin(turn)))
+                pair = Disc(disc.x + x, disc.y + y, radius), Disc(disc.x - x, disc.y - y, radius)
+                if all(map(self.allowed, pair)):
+                    discs = (*known.discs[:j], *known.discs[j + 1 :], *pair)
+                    start = np.vstack([np.delete(known.at, j, axis=0), known.at[j], known.at[j]])
+                    out.append(self.model(discs).fitted(z, start))
+        return out
+
+
+def score(found: Fitted) -> float:
+    """Log evidence less what as many contacts are worth by chance."""
+    return found.evidence - WORTH * len(found.discs)
