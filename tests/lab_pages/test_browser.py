@@ -207,14 +207,22 @@ def test_cards_are_kept_and_come_back(visit: Callable[..., Visit]) -> None:
     page.keyboard.press(" ")
     page.wait_for_selector("#answer:not([hidden])")
     page.keyboard.press("1")
-    kept = json.loads(page.evaluate("localStorage.getItem('loadid-lab-cards')"))
-    assert {(k, round(v["days"])) for k, v in kept.items()} == {("smoothing", 1), ("half-width", 0)}
-    assert kept["smoothing"]["due"] == pytest.approx(1000 * (time.time() + 86400), abs=60_000)
+    kept = dict(
+        card.split("~", 1) for card in page.evaluate("document.cookie").removeprefix("loadid-lab-cards=").split("!")
+    )
+    assert set(kept) == {"smoothing", "half-width"}
+    days, _, due = kept["smoothing"].split("~")
+    assert (days, kept["half-width"].split("~")[0]) == ("1", "0")
+    assert int(due, 36) == pytest.approx((time.time() + 86400) / 60, abs=2)
     page.reload()
     wait(page, READY)
     assert found.number("due") == "52"
-    page.evaluate("""() => { const kept = JSON.parse(localStorage.getItem('loadid-lab-cards'));
-        kept.smoothing.due = Date.now() - 1; localStorage.setItem('loadid-lab-cards', JSON.stringify(kept)); }""")
+    with Lab(pages()) as other:  # started again, at another port
+        again = found.context.new_page()
+        again.goto(other.page("cards"))
+        wait(again, READY)
+        assert again.locator("dl.numbers dd").first.inner_text() == "52"
+    page.evaluate("document.cookie = 'loadid-lab-cards=smoothing~1~2.5~1!bad~x; path=/cards'")  # due since 1970
     page.reload()
     wait(page, READY)
     assert found.number("due") == "53"
