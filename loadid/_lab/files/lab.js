@@ -154,7 +154,8 @@ const ticks = (low, high, log, most) => {
     }
   }
   const size = 10 ** Math.floor(Math.log10((high - low) / most));
-  const step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most) ?? size;
+  let step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most) ?? size;
+  if (Math.floor(high / step) <= Math.ceil(low / step)) step /= 2;  // one number tells no scale
   for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9) && found.length < 40; k++)
     if (!log || k > 0) found.push(Number((k * step).toPrecision(12)));
   return found;
