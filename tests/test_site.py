@@ -106,6 +106,17 @@ def test_every_public_name_has_its_entry(pages: dict[str, Page]) -> None:
     assert [n.full for n in reference.names() if f"#{n.entry}" not in linked[n.module]] == []
 
 
+def test_the_manual_tells_of_every_page_that_it_holds() -> None:
+    """By a row of its table: a page that only the side bar names is found by nobody who does not know of it."""
+    from docs.making import site
+
+    text = (ROOT / "docs" / "manual.md").read_text("utf-8")
+    table_, _, held = text.partition("```{toctree}")
+    listed = re.findall(r"^(\w+)$", held.partition(":hidden:")[2], re.MULTILINE)
+    assert {"lab", "guide"} <= set(listed)
+    assert [name for name in [*listed, *site._others(ROOT / "docs")] if f"({name}.md)" not in table_] == []
+
+
 def test_every_command_and_option_is_there(site: Path) -> None:
     from loadid import cli
 

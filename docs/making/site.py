@@ -34,7 +34,7 @@ def stage(folder: Path) -> None:
     guards = folder / "guards.md"
     guards.write_text("(guard-codes)=\n" + guards.read_text("utf-8"), "utf-8")
     _listed(folder / "manual.md", "@others", _others(folder))
-    _listed(folder / "reference" / "index.md", "@modules", reference.modules())
+    _listed(folder / "reference" / "index.md", "@modules", sorted(reference.modules()))
     reference.write(folder / "reference")
     _gallery(folder / "gallery")
     from . import house

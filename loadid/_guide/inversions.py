@@ -187,7 +187,7 @@ def froze(asked: Asked) -> Outcome:
             r.rule: {"lam": r.lam if r.lam is not None else "refused", "remark": r.note} for r in c.rules
         }
         apart = f", {c.spread:.2f} decades apart" if np.isfinite(c.spread) else ""
-        said += f" by {c.rule}; the rules: {c.verdict}{apart}"
+        said += f" by {c.rule}; verdict of the rules: {c.verdict}{apart}"
     if own.choice is not None and e.choice is not None and own.choice.rule != e.choice.rule:
         moved = float(np.linalg.norm(e.load - own.load) / max(float(np.linalg.norm(own.load)), 1e-300))
         figures["own_choice"] = {"rule": own.choice.rule, "lam": own.choice.lam, "load_differs_by": moved}
@@ -284,8 +284,11 @@ def precomputed(asked: Asked) -> Outcome:
             f"{said}, {1e6 * each:.3g} us; differs from the estimate by {off:.1e}", figures, (), off < 1e-6, made
         )
     duration = job.responses(job.log).duration if not isinstance(job.log, Mapping) else 0.0
-    figures |= {"cpu_seconds": spent, "seconds_of_record": duration}
-    said = f"no matrix stands for a history: {duration:.4g} s of record in {spent:.3g} s of CPU at the frozen lambda"
+    unfrozen = found_by_rule(job, **{name: value for name, value in frozen.items() if name != "choice"}).load
+    off = float(np.linalg.norm(e.load - unfrozen) / max(float(np.linalg.norm(unfrozen)), 1e-300))
+    figures |= {"cpu_seconds": spent, "seconds_of_record": duration, "differs_by": off}
+    said = (f"no matrix stands for a history: {duration:.4g} s of record in {spent:.3g} s of CPU at the frozen lambda; "
+            f"differs from the load of step 7 by {100 * off:.2g} %")  # fmt: skip
     return Outcome(said, figures, (), True, made)
 
 

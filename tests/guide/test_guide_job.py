@@ -192,6 +192,7 @@ def test_a_hit_from_new_to_page_by_commands_alone(tmp_path: Path, monkeypatch: A
     assert "10 of 10" in page
     assert "Signed with cautions, which are listed below: step 7 lambda, then frozen" in page  # the rules disagree
     assert signed[7]["figures"]["verdict"] == "not determined"
+    assert signed[8]["figures"]["differs_by"] < 1e-6  # of step 7: one lambda, one load
     assert "agreement of the rules" in page
 
 

@@ -277,3 +277,17 @@ def test_a_browser_that_cannot_run_the_script_is_told_so(lab: Lab, browser: Any)
     page.wait_for_selector("#old", state="visible", timeout=20_000)
     assert "2021 or later" in page.inner_text("#old")
     context.close()
+
+
+def test_a_page_says_that_it_is_computing(lab: Lab, browser: Any) -> None:
+    """While an answer takes more than a moment, and no longer."""
+    context = browser.new_context()
+    page = context.new_page()
+    held: list[Any] = []
+    page.route("**/contact/picture", lambda route: held.append(route))
+    page.goto(lab.page("contact"))
+    page.wait_for_selector("#working:has-text('computing')")
+    held[0].continue_()
+    wait(page, READY)
+    wait(page, "document.getElementById('working').textContent === ''")
+    context.close()

@@ -15,12 +15,24 @@ const fault = (work, text) => {
   place.hidden = !place.textContent;
 };
 
+// said at the edge of the page while the server takes more than a moment
+let open = 0, patience = 0;
+const working = by => {
+  open += by;
+  const place = document.getElementById("working");
+  if (!open) { clearTimeout(patience); place.textContent = ""; }
+  else if (by > 0 && open === 1) patience = setTimeout(() => { place.textContent = "computing …"; }, 300);
+};
+
 const answered = async (address, options) => {
   let found;
+  working(1);
   try {
     found = await fetch(address, { method: "POST", cache: "no-store", ...options });
   } catch {
     throw new Error("the server does not answer: has it been ended?");
+  } finally {
+    working(-1);
   }
   const json = (found.headers.get("Content-Type") ?? "").startsWith("application/json");
   if (!found.ok) throw new Error(json ? (await found.json()).error : `the server said ${found.status}`);
@@ -73,6 +85,10 @@ export const written = (value, digits = 3) => {
   const text = size >= 1e-3 && size < 1e5 ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1).replace(/\.?0+e/, "e");
   return text.replace("e+", "e").replace(/^-/, "−").replace("e-", "e−");
 };
+// a rule of the package by the name that texts give it
+const RULES = { upre: "UPRE", gcv: "GCV", robust_gcv: "robust GCV", modified_gcv: "modified GCV", l_curve: "L-curve",
+  ncp: "NCP", quasi_optimality: "quasi-optimality" };
+export const ruled = rule => RULES[rule] ?? rule.replaceAll("_", " ");
 export const percent = (value, digits = 1) => value === null ? "–" : `${written(100 * value, digits + 2)} %`;
 
 // what a control stands for; a slider that was set keeps the value, between its steps, until it is moved
@@ -138,7 +154,8 @@ const ticks = (low, high, log, most) => {
     }
   }
   const size = 10 ** Math.floor(Math.log10((high - low) / most));
-  const step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most) ?? size;
+  let step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most) ?? size;
+  if (Math.floor(high / step) <= Math.ceil(low / step)) step /= 2;  // one number tells no scale
   for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9) && found.length < 40; k++)
     if (!log || k > 0) found.push(Number((k * step).toPrecision(12)));
   return found;
