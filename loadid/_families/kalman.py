@@ -47,6 +47,7 @@ FAR, NEARLY = 50, 1.05  # where a lag is judged, and how near to that is near en
 JOINT = ("ou", "matern32", "matern52")
 NOTHING = 1.2  # by which a std may be too small: chance, in a record of some hundred samples
 LITTLE = 0.05  # of the variance of a load, that all sensors together take away one by one: they tell nothing of it
+AS_EVER = 0.02  # of the variances, within which a filter is as sure as in the long run
 INNOVATIONS = NoiseSource("residual", "likelihood of the innovations")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 
@@ -374,27 +375,35 @@ def _left_out(
         except (NotIdentifiable, InputError):
             found.append(None)
             continue
-        x = _states(other, Y[:, rest], start)
+        x, arrived = _states(other, Y[:, rest], start)
+        begin = max(first, arrived)
+        if begin > len(Y) // 2:  # of a start that nothing tells: its spread is not the settled one
+            found.append(None)
+            continue
         row = model.H[i]
         spread = float(np.sqrt(np.sum((row @ other.L) ** 2) + np.sum(model.LR[i] ** 2)))
-        found.append(float(np.mean(np.abs(Y[first:, i] - x[first:] @ row) < 1.96 * spread)))
+        found.append(float(np.mean(np.abs(Y[begin:, i] - x[begin:] @ row) < 1.96 * spread)))
         if settled is not None:
             more = np.maximum(other.std**2 - settled.std**2, 0.0)
-            ratios += np.mean((x @ model.Cp.T - load)[first:] ** 2, axis=0) / other.std**2
+            ratios += np.mean((x @ model.Cp.T - load)[begin:] ** 2, axis=0) / other.std**2
             weights += more / other.std**2
     wider = np.sqrt(np.divide(ratios, weights, out=np.ones(model.p), where=weights > LITTLE))
     return found, np.maximum(wider, 1.0) if np.any(wider > NOTHING) else None
 
 
-def _states(filtered: SteadyFilter, Y: Array, start: MovingStart | None) -> NDArray[np.float64]:
-    """Filtered states (samples, n) of a complete record at the settled gain; before it, those of a moving start."""
-    x, out, first = filtered.model.x0, np.empty((len(Y), filtered.model.n)), 0
+def _states(filtered: SteadyFilter, Y: Array, start: MovingStart | None) -> tuple[NDArray[np.float64], int]:
+    """Filtered states (samples, n) of a complete record, and the sample at which they are as sure as ever.
+
+    At the settled gain; before it, those of a moving start.
+    """
+    x, out, first, arrived = filtered.model.x0, np.empty((len(Y), filtered.model.n)), 0, 0
     if start is not None:
         core = SquareRoot(filtered.model)
         state = core.update(start.state(filtered.model), Y[0])[0]
-        while first < len(Y) - 1 and filtered.distance(state.L) > NEAR:
+        while first < len(Y) - 1 and (far := filtered.distance(state.L)) > NEAR:
             out[first] = state.x
             first += 1
+            arrived = first if far > AS_EVER else arrived
             state = core.advance(state, Y[first])[0]
         out[first] = x = state.x
         first += 1
@@ -404,4 +413,4 @@ def _states(filtered: SteadyFilter, Y: Array, start: MovingStart | None) -> NDAr
             x = F @ x if T is None else F @ x + T @ Y[k - 1]
         x = x + filtered.K @ (Y[k] - H @ x)
         out[k] = x
-    return out
+    return out, arrived
