@@ -26,7 +26,7 @@ from .._results.estimate import Axis
 
 Array = NDArray[Any]
 
-SHORTEST = 4  # samples
+SHORTEST = 4  # samples of a history
 LARGEST = 1e100  # of a reading, in any unit: its square must stay a number
 SAME = 1e-6  # relative difference of two steps that is rounding of a file
 WITH_GAPS = "Deconvolution of a model with state_space() or impulse_response() takes records with gaps"
@@ -154,10 +154,10 @@ def gather(
     wanted = [model.sensors[i] for i in rows]
     columns = [_column(s, record) for s in wanted]
     picked = record.select(columns)
-    if len(picked.values) < SHORTEST:
+    if len(picked.values) < (SHORTEST if timed else 1):
         raise InputError(
             "too few samples", where=record.source or "record", found=len(picked.values),
-            expected=f"at least {SHORTEST}",
+            expected=f"at least {SHORTEST if timed else 1}",
         )  # fmt: skip
     for row, channel in zip(wanted, picked.channels, strict=True):
         # arrays without units are taken as they come; a model that states its unit wants it stated
@@ -405,7 +405,8 @@ def readings(found: Any, model: Model, sensors: Sequence[str | int] | None) -> R
         found = _frames(found, model)
     if isinstance(found, Record):
         data = gather(found, None, model, sensors, timed=False)
-        over = Axis("time", "s", np.asarray(np.arange(len(data.values)) * data.dt, float))
+        times = np.asarray(np.arange(len(data.values)) * data.dt, float)
+        over = None if len(times) == 1 else Axis("time", "s", times)
         name = found.source or found.name or "record"
         return Readings(data.values, data.rows, data.channels, over, name, found.sha256, health(data), data)
     rows = rows_of(sensors, model)

@@ -17,8 +17,10 @@ from structures.errors import InputError, NotIdentifiable, real
 from .. import _guards as guards
 from .._guards import tracking as told
 from .._inverse.gaussian.lag import fixed_lag
+from .._inverse.gaussian.model import SquareRoot
 from .._inverse.gaussian.model import words as near_rest_in_words
 from .._inverse.gaussian.observe import Observability, observability
+from .._inverse.gaussian.records import NEAR
 from .._inverse.gaussian.roots import solve_lower
 from .._inverse.gaussian.steady import SteadyFilter, steady
 from .._inverse.problem import NoiseSource
@@ -28,6 +30,7 @@ from ..priors import OU, Matern32, Matern52
 from ..settings import Guards, ModelErrors, Noise, Online, Priors
 from . import noise as noises
 from .data import Data, gather, health
+from .tracking.beginning import MovingStart, beginning
 from .tracking.certificate import TrackCertificate, banded, certify
 from .tracking.engine import Engine
 from .tracking.filters import Named, Posing, leaky, named, restricted
@@ -44,6 +47,7 @@ FAR, NEARLY = 50, 1.05  # where a lag is judged, and how near to that is near en
 JOINT = ("ou", "matern32", "matern52")
 NOTHING = 1.2  # by which a std may be too small: chance, in a record of some hundred samples
 LITTLE = 0.05  # of the variance of a load, that all sensors together take away one by one: they tell nothing of it
+AS_EVER = 0.02  # of the variances, within which a filter is as sure as in the long run
 INNOVATIONS = NoiseSource("residual", "likelihood of the innovations")
 UNKNOWN = 0.01  # of the rms of a channel: its noise, to begin with, where nobody states it
 
@@ -292,13 +296,15 @@ class LoadTracker:
     ) -> tuple[TrackCertificate, Array, Array | None, Array]:
         Y = np.where(data.missing, np.nan, data.values)[:LONGEST]
         engine = Engine(model, settled, None)
+        if (start := beginning(model, settled, Y)) is not None:
+            engine.ready = start.state(model)
         load, std, e = np.empty((len(Y), model.p)), np.empty((len(Y), model.p)), np.full(Y.shape, np.nan)
         engine.block(Y, load, std, e)
         first = min(max(len(Y) // 20, 10), len(Y) - 1)
         labels = [c.label for c in data.channels]
         constant = np.inf if settled is None else settled.time_constant
         nis = _nis(settled, e[first:])
-        shares, wider = _left_out(model, data, first, settled, load)
+        shares, wider = _left_out(model, data, first, settled, load, start)
         found = certify(e[first:], nis, shares, labels, constant, lengths)
         banded_one = banded(found, settled, [c.label for c in self.model.loads], data.dt)
         return banded_one, e[first:], wider, np.max(np.abs(load[first:]) + std[first:], axis=0)
@@ -348,7 +354,7 @@ def _nis(settled: SteadyFilter | None, e: Array) -> NDArray[np.float64]:
 
 
 def _left_out(
-    model: Any, data: Data, first: int, settled: SteadyFilter | None, load: Array
+    model: Any, data: Data, first: int, settled: SteadyFilter | None, load: Array, start: MovingStart | None
 ) -> tuple[list[float | None], Array | None]:
     """Share of each channel inside the 95 % band that the others predict; None where they cannot.
 
@@ -369,25 +375,42 @@ def _left_out(
         except (NotIdentifiable, InputError):
             found.append(None)
             continue
-        x = _states(other, Y[:, rest])
+        x, arrived = _states(other, Y[:, rest], start)
+        begin = max(first, arrived)
+        if begin > len(Y) // 2:  # of a start that nothing tells: its spread is not the settled one
+            found.append(None)
+            continue
         row = model.H[i]
         spread = float(np.sqrt(np.sum((row @ other.L) ** 2) + np.sum(model.LR[i] ** 2)))
-        found.append(float(np.mean(np.abs(Y[first:, i] - x[first:] @ row) < 1.96 * spread)))
+        found.append(float(np.mean(np.abs(Y[begin:, i] - x[begin:] @ row) < 1.96 * spread)))
         if settled is not None:
             more = np.maximum(other.std**2 - settled.std**2, 0.0)
-            ratios += np.mean((x @ model.Cp.T - load)[first:] ** 2, axis=0) / other.std**2
+            ratios += np.mean((x @ model.Cp.T - load)[begin:] ** 2, axis=0) / other.std**2
             weights += more / other.std**2
     wider = np.sqrt(np.divide(ratios, weights, out=np.ones(model.p), where=weights > LITTLE))
     return found, np.maximum(wider, 1.0) if np.any(wider > NOTHING) else None
 
 
-def _states(filtered: SteadyFilter, Y: Array) -> NDArray[np.float64]:
-    """Filtered states (samples, n) of a complete record."""
-    x, out = filtered.model.x0, np.empty((len(Y), filtered.model.n))
+def _states(filtered: SteadyFilter, Y: Array, start: MovingStart | None) -> tuple[NDArray[np.float64], int]:
+    """Filtered states (samples, n) of a complete record, and the sample at which they are as sure as ever.
+
+    At the settled gain; before it, those of a moving start.
+    """
+    x, out, first, arrived = filtered.model.x0, np.empty((len(Y), filtered.model.n)), 0, 0
+    if start is not None:
+        core = SquareRoot(filtered.model)
+        state = core.update(start.state(filtered.model), Y[0])[0]
+        while first < len(Y) - 1 and (far := filtered.distance(state.L)) > NEAR:
+            out[first] = state.x
+            first += 1
+            arrived = first if far > AS_EVER else arrived
+            state = core.advance(state, Y[first])[0]
+        out[first] = x = state.x
+        first += 1
     F, H, T = filtered.part.F, filtered.part.H, filtered.part.T
-    for k in range(len(Y)):
+    for k in range(first, len(Y)):
         if k:  # where noises are correlated a sample tells of what moved the state after it
             x = F @ x if T is None else F @ x + T @ Y[k - 1]
         x = x + filtered.K @ (Y[k] - H @ x)
         out[k] = x
-    return out
+    return out, arrived

@@ -299,6 +299,16 @@ def blind(samples: int, taken: int) -> Flag | None:
     )
 
 
+def started_in_motion(gain: float, threshold: float) -> Flag:
+    """N532: the first samples are more likely (logarithm `gain`) where the structure moves than where it rests."""
+    return Flag(
+        "N532",
+        Evidence("logarithm of the likelihood of the first samples over that of a start at rest", gain, threshold),
+        "the record starts in motion: the first states are found with the loads, and the band of the first samples "
+        "holds what is not known of them",
+    )
+
+
 def other_model(before: str, now: str) -> Flag | None:
     """W522: a tracker goes on with another model than the one that it was certified with (fingerprints)."""
     if before == now:

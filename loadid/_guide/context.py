@@ -31,7 +31,6 @@ SAMPLES = 8  # from which equal columns are the same record, and no coincidence
 MODELS = (".h5", ".hdf5")
 AMPLITUDES = ("harmonic",)  # families whose loads are amplitudes with a phase
 SUM = "sum"  # resultant of loads of one unit, where no basis names others
-ONE_READING = 1.0  # s, the step of a record of a single reading, which nothing asks for
 
 
 @dataclass(frozen=True)
@@ -183,6 +182,7 @@ class GuidedJob:
             No log, or damaged.
         """
         from .._readers import read
+        from .._readers.settle import ONE_READING
         from .._record import Record
 
         channels = {SUM: Channel(label=SUM)} | {c.label: c for c in (*self.model.sensors, *self.model.loads)}

@@ -56,7 +56,7 @@ def load(source: Source, options: Options) -> list[Table]:
         ended = True
     _refuse_rows_of_channels(lines, source)
     lines, notes = _with_points(lines)
-    layout = _layout(lines, source)
+    layout = _layout(lines, source, ended)
     body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
     body, flags = (body, ()) if ended else _unended(body, layout)
     for number, line in body:
@@ -248,7 +248,7 @@ def _refuse_rows_of_channels(lines: list[str], source: Source) -> None:
                           "a column for each channel", "transpose it: time runs down")  # fmt: skip
 
 
-def _layout(lines: list[str], source: Source) -> _Layout:
+def _layout(lines: list[str], source: Source, ended: bool) -> _Layout:
     """Separator, decimal sign, cells per row and first row, from a sample of lines at the end of the file."""
     filled = [i for i, line in enumerate(lines) if line.strip()]
     if not filled:
@@ -257,6 +257,8 @@ def _layout(lines: list[str], source: Source) -> _Layout:
     sample = [lines[i] for i in (tail[:-1] if len(tail) > 1 else tail)]  # the very last line may be cut
     sample = sample[len(sample) // 2 :] if len(sample) < 100 else sample[-50:]
     fits = [(s, d, w) for s, d in TRIES if (w := _width(sample, s, d))]
+    if not fits and ended:  # a heading and one row, which is whole
+        fits = [(s, d, w) for s, d in TRIES if (w := _width([lines[tail[-1]]], s, d))]
     many = [f for f in fits if f[2] > 1]
     if not fits:
         bad = next((line for line in sample if not any(_width([line], s, d) for s, d in TRIES)), sample[-1])

@@ -228,13 +228,19 @@ def _looks_like_time(x: NDArray[Any]) -> bool:
     return bool(steps.min() > 0 and np.ptp(steps) < 0.01 * steps.mean())
 
 
+ONE_READING = 1.0  # s, the step of a record of one row, which nothing asks for
+
+
 def _stepped(table: Table, source: Source, options: Options) -> tuple[Table, float | None]:
     """The table without its time column, and its step where the file or the caller states it."""
     table, clock = clocked(table, source, options)
-    dt = table.dt
-    if clock is not None:
+    dt, single = table.dt, len(table.values) == 1
+    if clock is not None and not single:
         table, dt = gridded(table, clock, source, options)
     notes = list(table.notes)
+    if single and dt is None and options.fs is None:
+        dt = ONE_READING
+        notes.append("one row, which has no step: a reading")
     if options.fs is not None:
         rate = positive(options.fs, source)
         if dt is not None and not math.isclose(dt * rate, 1.0, rel_tol=1e-12):

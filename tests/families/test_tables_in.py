@@ -69,8 +69,21 @@ def test_static_readings_of_a_frame_go_by_name():
     np.testing.assert_allclose(StaticInversion(STATIC).estimate(frame).load, want, rtol=1e-12)
     np.testing.assert_allclose(np.ravel(want), loads, rtol=1e-5)
     frame.index = pd.date_range("2026-11-24", periods=3, freq="1s")
+    over = StaticInversion(STATIC).estimate(frame)  # a record, as it has a time, however few its rows are
+    np.testing.assert_allclose(over.load, want, rtol=1e-12)
+    np.testing.assert_allclose(over.axis.values, [0, 1, 2])
+
+
+def test_a_record_of_one_row_is_one_reading():
+    reading = np.array([[2.0, 1.0]])
+    one = StaticInversion(STATIC).estimate(Record(reading, 1.0, list(STATIC.sensors)))
+    want = StaticInversion(STATIC).estimate({"a1": 2.0, "a2": 1.0})
+    assert one.axis is None
+    assert one.load.shape == want.load.shape == (1,)
+    np.testing.assert_array_equal(one.load, want.load)
+    np.testing.assert_array_equal(one.std, want.std)
     with pytest.raises(InputError, match="too few samples"):
-        StaticInversion(STATIC).estimate(frame)  # a record, as it has a time
+        Deconvolution(MODEL).estimate(Record(reading, DT, list(MODEL.sensors)))
 
 
 def test_quantities_of_pint_are_refused_without_a_warning():

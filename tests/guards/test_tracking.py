@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loadid import LoadTracker
 from loadid._guards.tracking import (
     believed,
     beyond_the_fit,
@@ -27,6 +28,8 @@ from loadid._guards.tracking import (
     untuned,
 )
 from loadid._inverse.gaussian.observe import observability
+from loadid.priors import Matern32
+from loadid.settings import Noise
 from structures import Flag, ForwardModel, chains, loads, sensors
 from tests.tracked import Prior, bm2, building, d2, filter_model, judged, matern32, reference, walk
 
@@ -74,8 +77,16 @@ def innovations(bias: float) -> tuple[Flag, ...]:
     return one(overconfident(1.0, z, ["a", "b", "c"]))
 
 
+def begun(cut: int) -> tuple[Flag, ...]:
+    """A record of a building under wind, from rest or cut from the middle."""
+    case = bm2("matern", samples=1200)
+    tracker = LoadTracker(case.setup.space(), prior=Matern32(100.0, 0.08), noise=Noise(case.noise))
+    return tracker.fit(case.y[cut : cut + 600], case.dt).smooth(case.y[cut : cut + 600], case.dt).flags
+
+
 CALM = np.random.default_rng(1).standard_normal((2000, 2))
 CASES = [
+    Case("N532", lambda: begun(600), lambda: begun(0), r"starts in motion.* = \d+.*\(threshold 7\)"),
     Case("E501", lambda: drift((), False), lambda: drift((10,), False), r"constant force.*0 of 1.*displacement"),
     Case("E501", lambda: drift((), True), lambda: drift((1,), True), r"singular value .*allow=.'LID-E501'", "kept"),
     Case("E501", cured, lambda: drift((), True, matern32(100.0, 0.08, 0.01)), r"sensor at 10\+X.*0\.4 m", "cure"),

@@ -92,6 +92,30 @@ def test_a_mean_says_what_it_lacks(folder, tmp_path):
     assert not any("missing" in note for note in whole.provenance["notes"])
 
 
+@pytest.mark.parametrize("heading", ["", "time [s],"])
+def test_one_row_of_static_readings_is_one_reading(run, folder, tmp_path, heading):
+    """From the shell and in Python, as the mapping is; a row that may be cut is none, and no history."""
+    labels = [f"s{i}" for i in range(4)]
+    row = [1e-3, 2e-3, 3e-3, 4e-3]
+    log, names = tmp_path / "one.csv", ",".join(f"{label} [mm]" for label in labels)
+    cells = ("0.5," if heading else "") + ",".join(str(1e3 * x) for x in row)
+    log.write_text(f"{heading}{names}\n{cells}\n")
+    want = identify(dict(zip(labels, row, strict=True)), folder / "patches.h5", family="static", noise=1e-6)
+    found = identify(log, folder / "patches.h5", family="static", noise=1e-6)
+    np.testing.assert_allclose(found.load, want.load, rtol=1e-9)
+    assert found.axis is None
+    code, _, err = run("identify", log, "--model", "patches.h5", "-o", tmp_path / "r.h5", "--family", "static",
+                       "--noise", 1e-6)  # fmt: skip
+    assert "too few" not in err
+    assert code in (0, 1)
+    np.testing.assert_allclose(load(tmp_path / "r.h5").load, want.load, rtol=1e-9)
+    with pytest.raises(InputError, match="too few samples"):
+        identify(log, folder / "patches.h5", family="deconvolution")
+    log.write_text(f"{heading}{names}\n{cells}")  # no end of the line
+    with pytest.raises(InputError, match="no rows of numbers"):
+        read(log)
+
+
 def test_mistakes_of_a_job_are_told_in_its_own_words(tmp_path):
     job = tmp_path / "a.toml"
     job.write_text("log = 'a.csv'\nnoise = = 3\n")

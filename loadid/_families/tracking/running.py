@@ -25,6 +25,7 @@ from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array, lower, solve_lower
 from ..._inverse.gaussian.steady import SteadyFilter
 from .bank import HOP, lifted_of
+from .beginning import MovingStart, beginning
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
@@ -218,6 +219,7 @@ class Running:
                      dict(zip(labels, beyond.tolist(), strict=True))),
             beyond_the_fit(getattr(engine, "largest", 0.0), 0.0 if self._watch is None else self._watch.far),
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
+            None if self._start is None else self._start.flag,
             None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
                                                       x.kind, x.sample) for x in self._watch.named], self._watch.acts),
             None if self._watch is None else blind(self._watch.unseen, self._watch.count),
@@ -236,6 +238,7 @@ class Running:
     def reset(self) -> None:
         """Back before the first sample."""
         self._tally: Counter[str] = Counter()
+        self._start: MovingStart | None = None
         self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._watch = self._watching()
@@ -244,6 +247,15 @@ class Running:
         self._limits = self._limit.tolist()
         self.row_alarms = np.zeros((0, 2), int)
         self._made()
+
+    def begin(self, Y: Array) -> None:
+        """Start in the motion that the first samples (samples, sensors) tell of, where they do not start at rest."""
+        if self.engine != "own":
+            return
+        self._start = start = beginning(self.fitted.model, self.fitted.settled, Y)
+        if start is not None:
+            for engine in (self._engine, *(engine for _, engine in self._bank)):
+                engine.ready = start.state(engine.model)
 
     def _watching(self) -> Watch | None:
         """Over the sensors, where the fit has told what is usual; what it finds is acted upon where there is a gate."""
@@ -550,11 +562,14 @@ class Running:
         """Everything that changes from sample to sample, as plain arrays and numbers."""
         ring = None if self._ring is None else self._ring.to_tree()
         return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree(),
+                                   "start": None if self._start is None else [self._start.wider, self._start.gain],
                                    "watch": None if self._watch is None else self._watch.to_tree()}  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
         self._restored(tree)
+        start = tree.get("start")
+        self._start = None if start is None else MovingStart(*map(float, start))
         self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
         if (means := tree.get("means")) is not None:  # files of 0.1 hold none
             self._means.restore(means)

@@ -21,6 +21,7 @@ from ..._inverse.gaussian.records import filter_record, smooth_record
 from ..._results.estimate import LoadEstimate
 from . import fit as recipe
 from . import samples as blocks
+from .beginning import beginning
 from .certificate import TrackCertificate
 from .controller import write_c
 from .fit import TrackerFit, pack, unpack
@@ -81,6 +82,8 @@ class Tracker(Running):
     ) -> LoadEstimate:
         """Loads of a block, going on from the last sample; with a lag those of so many samples ago.
 
+        The first block starts at rest, or, where its first samples do not, in motion that they tell of (flag N532).
+
         Parameters
         ----------
         block : Record or array (samples, sensors)
@@ -96,6 +99,8 @@ class Tracker(Running):
         """
         Y, inputs = blocks.values(self.fitted, block, dt)
         first = self._engine.counts["samples"]
+        if not first:
+            self.begin(Y)
         skip = max(self.lag - first, 0)
         if skip >= len(Y):
             raise InputError("the block ends before the first late answer", where="track", found=f"{len(Y)} samples",
@@ -111,7 +116,9 @@ class Tracker(Running):
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
     ) -> LoadEstimate:
-        """Loads of a whole record with all its data, from rest; the state of the tracker stays as it is.
+        """Loads of a whole record with all its data; the state of the tracker stays as it is.
+
+        It starts at rest, or, where its first samples do not, in motion that they tell of (flag N532).
 
         Raises
         ------
@@ -122,6 +129,8 @@ class Tracker(Running):
         Y = inside(Y, self.fitted.limits)
         told = progress or (lambda share, text: None)
         model, settled, path = self.fitted.model, self.fitted.settled, "square-root filter and smoother"
+        start = beginning(model, settled, Y)
+        model = model if start is None else start.of(model)
         if settled is None and (size := 8 * len(Y) * model.n**2) > STATES:
             raise InputError("the record is too long to keep its states", where="smooth",
                              found=f"{size / 2**30:.1f} GiB", expected=f"at most {STATES / 2**30:.0f} GiB",
@@ -130,7 +139,7 @@ class Tracker(Running):
         found = smooth_record(filtered, progress=lambda f, t: told(0.5 + 0.5 * f, t))
         std = found.std if self.fitted.wider is None else found.std * self.fitted.wider
         return blocks.estimate(self.fitted, self.counts, found.load, std, Y, found.residual, inputs, 0, path,
-                               self.flags)  # fmt: skip
+                               self.flags if start is None else (*self.flags, start.flag))  # fmt: skip
 
     # -- another model ----------------------------------------------------------------------------------------------
 
