@@ -51,6 +51,7 @@ NAMES = {
     "limit": ("channel", "rms", "density", "amplitude", "unit", "frequencies"),
 }  # fmt: skip
 OUTPUTS = ("output", "report", "plot")
+MOST = 100_000  # lines of a job
 
 
 def read_job(path: str | os.PathLike[str]) -> tuple[dict[str, Any], PlanReader]:
@@ -77,6 +78,8 @@ def read_job(path: str | os.PathLike[str]) -> tuple[dict[str, Any], PlanReader]:
     if ("target" in job) == ("field" in job):
         raise InputError("a job has one target", where=plan.where, found="both" if "target" in job else "none",
                          expected="[[target]] tables, or field = a record")  # fmt: skip
+    if "segment" in job and "field" not in job:
+        plan.refused("segment", job["segment"], "none beside [[target]]: it cuts a field record")
     for kind in ("target", "limit"):
         tables = job.get(kind, [])
         if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
@@ -105,10 +108,10 @@ def drives_of(job: Mapping[str, Any], plan: PlanReader, progress: Any = None) ->
     else:
         labels, profiles = [s.label for s in model.sensors], {}
         for one in job["target"]:
-            for name in one.get("sensors", labels):
+            for name in _sensors(one, plan, labels):
                 if name in profiles:
                     plan.refused("sensors of [[target]]", name, "each sensor in one table")
-                profiles[str(name)] = _profile(one, plan, "target", one.get("levels"))
+                profiles[name] = _profile(one, plan, "target", one.get("levels"))
         target = Target.of(model, profiles, None if lines is None else np.asarray(lines))
     given = {name: float(job[name]) for name in ("tolerance", "frf_error") if name in job}
     limits = [_limit(one, plan) for one in job.get("limit", [])]
@@ -126,7 +129,16 @@ def _lines(job: Mapping[str, Any], plan: PlanReader) -> Any:
     low, high, step = (float(x) if is_number(x) else math.nan for x in ends)
     if not (0 < low < high and 0 < step <= high - low):
         plan.refused("lines", table, "{from, to, step} in Hz, 0 < from < to, step > 0")
+    if (high - low) / step > MOST:
+        plan.refused("lines", table, f"{MOST} lines at most: a larger step")
     return low + step * np.arange(int((high - low) / step + 1e-9) + 1)
+
+
+def _sensors(one: Mapping[str, Any], plan: PlanReader, labels: list[str]) -> list[str]:
+    given = one.get("sensors", labels)
+    if not (isinstance(given, list) and given and all(isinstance(name, str) for name in given)):
+        plan.refused("sensors of [[target]]", given, 'a list of names, such as ["a1", "a2"]')
+    return given
 
 
 def _profile(one: Mapping[str, Any], plan: PlanReader, kind: str, levels: Any) -> Profile:
@@ -225,6 +237,7 @@ def page(found: Drives, job: str) -> str:
     """A page of its own: errors, drives, limits, a picture, and what to mind."""
     from .. import _page
     from .._plots.style import drawn
+    from .._results.report import flag_list
 
     told = described(found)
     sensors = [(name, f"{e['rms']:.2f}", f"{e['worst']:.1f}") for name, e in told["error_db"].items()]
@@ -236,7 +249,7 @@ def page(found: Drives, job: str) -> str:
     picture = _page.image(drawn(found.plot(), "png"), "target, response and drives over frequency")
     sections = [
         _page.PageSection("Result", _page.joined(_page.paragraphs(first, *found.bound), picture)),
-        _page.PageSection("Cautions", _page.part("flags", list(found.flags)) if found.flags else ""),
+        _page.PageSection("Cautions", flag_list(found.flags) if found.flags else ""),
         _page.PageSection("Drives", _page.table(drives, ("drive", "rms"))),
         _page.PageSection("Sensors", _page.table(sensors, ("sensor", "rms error, dB", "worst, dB"))),
         _page.PageSection("Limits", _page.table(limits, ("limit", "")) if limits else ""),

@@ -48,6 +48,7 @@ PROCESS = (
 )  # which a penalty on differences of that order is the prior of
 
 MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
+LITTLE = 0.1  # of the response, in what windows leave beyond the noise, that errors of the model make
 
 
 class Deconvolution:
@@ -188,7 +189,7 @@ class Deconvolution:
         if not prior:  # what was learned of hits is told by its evidence
             nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
             found = replace(found, not_told=nothing)
-        found = replace(found, flags=guards.collect([self._missed(found, data, anywhere), *found.flags]))
+        found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")
         return answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
@@ -257,19 +258,29 @@ class Deconvolution:
     def _over_states(self, posed: Posed, data: Data) -> Posed | None:
         return posed if posed.record is not None else on_states(self.model, data, self.settings)
 
-    def _missed(self, found: SolvedLoad, data: Data, anywhere: Callable[[], Posed | None]) -> Flag | None:
-        """W319: the windows of the load leave what a load at another time explains."""
+    def _held_to_windows(self, found: SolvedLoad, data: Data, anywhere: Callable[[], Posed | None]) -> SolvedLoad:
+        """The load in windows against one at any time: W319 where that explains what the windows leave.
+
+        Where it explains hardly more, and little is left, the windows are no contradiction (W412): a load at any time
+        takes small errors of the model for itself, one in windows cannot.
+        """
         acting = self.settings.acting(len(found.load), data.dt)
         rest, size = (float(np.linalg.norm(np.asarray(x))) for x in (found.residual, found.response))
         if acting is None or (found.excess is None and not rest > MUCH * size):
-            return None
+            return found
         if (whole := anywhere()) is None:
-            return None
+            return found
         choice = self._choose(whole)
         load = whole.path.solution(choice.lam, None).load
         left = float(np.linalg.norm(whole.compare(load, choice.lam, None)[1]))
         assert self.settings.support is not None
-        return histories.missed(load, acting, data.dt, self.settings.support, rest / max(left, np.finfo(float).tiny))
+        ratio = rest / max(left, np.finfo(float).tiny)
+        if (flag := histories.missed(load, acting, data.dt, self.settings.support, ratio)) is not None:
+            return replace(found, flags=(flag, *found.flags))
+        if found.excess is None or ratio > histories.BETTER or rest * np.sqrt(1 - found.excess**-2) > LITTLE * size:
+            return found
+        explained = beyond_noise(float(whole.path.at(choice.lam).residual2), whole.path.m, whole.noise) is None
+        return replace(found, excess=None) if explained else found
 
     def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
         """What the sensors tell of each other: of whole records that start at rest, as h says they do."""

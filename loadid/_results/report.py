@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from structures._flags import codes
+from structures._flags import Flag, codes
 from structures._flags import table as guards
 from structures.errors import plain
 
@@ -84,7 +84,7 @@ def page(estimate: LoadEstimate, *, truth: ArrayLike | None = None, png: bytes |
         PageSection("What the data cannot tell", _limits(estimate), folded=True),
         PageSection("What the data can tell", _diagnosis(estimate), folded=True),
         PageSection("How lambda was chosen", _choice(estimate), folded=True),
-        PageSection("Flags", flag_list(estimate), folded=True),
+        PageSection("Flags", flag_list(estimate.flags), folded=True),
         PageSection("Verification", verification(estimate), folded=True),
         PageSection("Provenance", provenance_table(estimate), folded=True),
     ]
@@ -97,7 +97,7 @@ def fragment(estimate: LoadEstimate) -> str:
     """Short form for notebooks: answer, picture and cautions in the style of the page, without a script."""
     rows = _told(estimate)
     answer, picture = _page.joined(_answer(estimate, rows), checked(estimate)), _picture(estimate, None, page=False)
-    folded = [("Every load", _every(estimate, rows)), ("Flags", flag_list(estimate))]
+    folded = [("Every load", _every(estimate, rows)), ("Flags", flag_list(estimate.flags))]
     return _page.part("inside", _page.text(_page.STYLE), answer, picture, cautions(estimate, linked=False), folded)
 
 
@@ -240,12 +240,12 @@ def _notes(e: LoadEstimate) -> Html | str:
     return _page.joined(_page.part("quiet", "Decided while reading the record:"), _page.part("listed", lines, "quiet"))
 
 
-def flag_list(e: LoadEstimate) -> Html:
+def flag_list(flags: Sequence[Flag]) -> Html:
     """The flags, the gravest first, and what the table says of their codes."""
-    if not e.flags:
+    if not flags:
         return _page.paragraphs("No guard raised a flag.")
-    raised = codes(e.flags)
-    return _page.part("flags", sort(e.flags), [guard for code, guard in guards().items() if code in raised])
+    raised = codes(flags)
+    return _page.part("flags", sort(flags), [guard for code, guard in guards().items() if code in raised])
 
 
 def _choice(e: LoadEstimate) -> Html:

@@ -278,8 +278,8 @@ class Drives(ReadOnly):
         what = "rms" if self.kind == "random" else "largest amplitude"
         size = self.rms if self.kind == "random" else self.level.max(axis=0)
         lines += [f"  {c.label}: {what} {x:.4g} {c.unit}" for c, x in zip(self.loads, size, strict=True)]
-        lines += [f"limit met: {name}" for name in self.bound]
-        lines += [f"limit not met: {n}" for n in self.limits if not any(b.startswith(n) for b in self.bound)]
+        lines += [f"limit that binds: {name}" for name in self.bound]
+        lines += [f"limit kept, with room: {n}" for n in self.limits if not any(b.startswith(n) for b in self.bound)]
         return "\n".join([*lines, *(str(flag) for flag in self.flags)])
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, show: bool = False) -> Figure:

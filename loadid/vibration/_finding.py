@@ -64,8 +64,8 @@ def find_drives(
     Raises
     ------
     InputError
-        Sensors or limits that are not of the model, units or lines that do not fit, cross spectra of which only the
-        diagonal is given (E221), a target that asks for no motion at all.
+        Sensors or limits that are not of the model, units, lines or limits that do not fit, cross spectra of which only
+        the diagonal is given (E221), a target that asks for no motion at all.
     NotIdentifiable
         The cone solver does not settle.
 
@@ -196,6 +196,10 @@ def _limits(
         if place >= loads:
             rows[n], spread[n] = allowing(rows[n], variance[:, place - loads])
         value = limit.on(f, channel)
+        if not np.isfinite(value).any():
+            raise InputError("the limit holds on no line", where=f"Limit, {limit.channel}",
+                             found=f"lines from {f[0]:g} to {f[-1]:g} Hz",
+                             expected="a profile with breakpoints around some of them")  # fmt: skip
         if limit.kind == "rms":
             total[n] = value[0] ** 2
         else:

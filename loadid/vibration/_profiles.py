@@ -355,6 +355,9 @@ class Limit(ReadOnly):
         ((name, value),) = given.items()
         if not isinstance(value, Profile):
             positive(name, value, where=f"Limit, {self.channel}")
+        elif name == "rms":
+            raise InputError("an rms over all lines is one number", where=f"Limit, {self.channel}", found="a Profile",
+                             expected="a number, or density= for a limit on each line")  # fmt: skip
         elif value.density != (name == "density"):
             raise InputError("the profile is of the other kind", where=f"Limit, {self.channel}", found=value.unit,
                              expected="g^2/Hz for density=, g for amplitude=")  # fmt: skip

@@ -104,7 +104,7 @@ def page(
         PageSection("Against the truth", _compared(compared)),
         PageSection("Cautions", parts.cautions(force)),
         PageSection("How it came about", _about(force, about), folded=True),
-        PageSection("Flags", parts.flag_list(force), folded=True),
+        PageSection("Flags", parts.flag_list(force.flags), folded=True),
         PageSection("Verification", parts.verification(force), folded=True),
         PageSection("Provenance", parts.provenance_table(force), folded=True),
     ]

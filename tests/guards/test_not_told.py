@@ -139,6 +139,28 @@ def test_right_windows_make_hits_no_worse(seed: int) -> None:
     assert not held.std[outside].any()
 
 
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_tight_right_window_is_no_contradiction(seed: int) -> None:
+    """The error falls, the residual is 1.3 times the noise: the finer truth, which a load at any time takes up."""
+    g, y = finer("acc", (100, 10, 200.0))
+    std = 0.05 * float(np.sqrt(np.mean(y**2)))
+    y = y + noise(seed, std)
+    free, held = (answered(y, std, support=support) for support in (None, (100 * DT, 110 * DT)))
+    error = [float(np.linalg.norm(e.load - g) / np.linalg.norm(g)) for e in (free, held)]
+    assert error[1] < 0.8 * error[0]
+    assert held.grade.letter <= free.grade.letter
+    assert error[1] < 1.5 * held.grade.expected
+
+
+def test_a_wrong_model_contradicts_windows_as_it_does_a_free_load() -> None:
+    """Noise that is stated ten times too small is not excused by windows."""
+    _, y = finer("acc", (100, 10, 200.0))
+    std = 0.05 * float(np.sqrt(np.mean(y**2)))
+    held = answered(y + noise(2, std), std / 10, support=(100 * DT, 110 * DT))
+    assert "LID-W412" in [f.code for f in held.flags]
+    assert held.grade.letter == "D"
+
+
 def windowed(*windows: tuple[float, float]) -> tuple[Flag, ...]:
     return answered(struck(11)[1], None, support=list(windows)).flags
 

@@ -94,6 +94,13 @@ def test_a_field_record_stands_for_the_target(folder: Path, capsys: pytest.Captu
         (('sensors = ["a1", "a2", "a3"]', 'sensors = ["b1"]'), "b1"),
         (("rms = 3.0", "rms = -3.0"), "shaker 1"),
         (("[[target]]", "lines = {from = 60, to = 50, step = 1}\n[[target]]"), "0 < from < to"),
+        (("[[target]]", "lines = {from = 64, to = 384, step = 1e-9}\n[[target]]"), "a larger step"),
+        (("[[target]]", "segment = 512\n[[target]]"), "it cuts a field record"),
+        (('["a1", "a2", "a3"]', '"a1"'), "a list of names"),
+        (('["a1", "a2", "a3"]', '[["a1"], "a2"]'), "a list of names"),
+        (('["a1", "a2", "a3"]', "[]"), "a list of names"),
+        (("rms = 3.0", 'rms = [3.0, 3.0]\nfrequencies = [64, 400]\nunit = "N"'), "one number"),
+        (("density = 1e-3", "density = [1e-3, 1e-3]\nfrequencies = [900, 2000]"), "holds on no line"),
     ],
 )
 def test_a_job_that_is_wrong_is_refused(folder: Path, edit: tuple[str, str], says: str,
