@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from .style import BLUE, GREEN, GREY, INK, ORANGE, SKY, legend_above, new_figure, text, tidy
+from .style import BLUE, GREEN, GREY, INK, ORANGE, SKY, legend_above, new_figure, tidy, unit
 
 if TYPE_CHECKING:
     from structures import MeasuredModes
 
 LEVELS = (
-    ("new", "x", GREY, 10), ("frequency stays", "o", SKY, 10), ("and damping", "o", GREEN, 12),
-    ("and participation", "o", BLUE, 12),
+    ("new", "x", GREY, 10), ("frequency stays", "o", SKY, 10), ("frequency and damping stay", "o", GREEN, 12),
+    ("all stays", "o", BLUE, 12),
 )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ def stabilisation_figure(found: MeasuredModes, *, figure: Figure | None = None) 
             ax.axvline(f, color=ORANGE, lw=0.9, zorder=0)
         row = (row + 1) % 3 if f < free else 0
         free = f + width
-        top.annotate(f"{f:.4g} Hz {100 * z:.2g} %", (f, 1.0), xycoords=("data", "axes fraction"),
+        top.annotate(f"{f:.4g} Hz, {100 * z:.2g} %", (f, 1.0), xycoords=("data", "axes fraction"),
                      xytext=(2, -2 - 9 * row), textcoords="offset points", fontsize=6.5, va="top",
                      color=INK)  # fmt: skip
     top.set_ylabel("order of the polynomials")
@@ -49,7 +49,7 @@ def stabilisation_figure(found: MeasuredModes, *, figure: Figure | None = None) 
         below.semilogy(f, np.sqrt(np.mean(np.abs(H) ** 2, axis=(1, 2))), color=colour, lw=width, label=name)
     kind = found.frf.sensors[0].unit
     per = found.frf.loads[0].unit
-    below.set_ylabel(f"rms of the FRFs [{text(kind)}/{text(per)}]")
+    below.set_ylabel(f"rms of the FRFs [{unit(kind)}/{unit(per)}]")
     below.set_xlabel("frequency [Hz]")
     below.set_xlim(*found.band)
     legend_above(below)

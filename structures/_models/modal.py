@@ -150,15 +150,21 @@ class ModalModel(Model):
         """Variance of the FRF by the errors of poles, shapes and residuals, shape (lines, sensors, loads)."""
         if self._errors is None:
             return None
-        f = lines(frequencies)
-        whole = self._errors.variance(f, self._kind)
+        f, r = lines(frequencies), self._reduced
+        out = self._sized(self._errors, f)
+        integrated = r.derivative < self._kind
+        if integrated.any():  # no displacement is known from accelerations at 0 Hz: its error is held below the band
+            out[:, integrated] = self._sized(self._errors, np.maximum(f, self.band[0]))[:, integrated]
+        return np.asarray(out * np.abs(highpass(f, r.corner))[:, :, None] ** 2)
+
+    def _sized(self, errors: ShapeFit, f: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance of the FRF at f (Hz) in the kind of each sensor, before high-passes; inf where that has none."""
+        whole = errors.variance(f, self._kind)
         whole = whole.transpose(0, 2, 1) if self._turned else whole
-        r = self._reduced
-        size = (
-            (2 * np.pi * f[:, None]) ** (2.0 * (r.derivative - self._kind)) if np.any(r.derivative != self._kind) else 1
-        )
-        size = size * np.abs(highpass(f, r.corner)) ** 2
-        return np.asarray(whole[:, self._rows][:, :, self._columns] * size[:, :, None])
+        order = self._reduced.derivative - self._kind
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = (2 * np.pi * f[:, None]) ** (2.0 * order)
+            return np.asarray(whole[:, self._rows][:, :, self._columns] * size[:, :, None])
 
     def impulse_response(self, dt: float, samples: int, hold: str = "foh") -> NDArray[np.float64]:
         """Response to one unit held over one sample (samples, sensors, loads).

@@ -24,6 +24,7 @@ LEAST = 16  # lines of a band
 SMALL = 1e-6  # of the rms of an entry, below which its std is not believed
 RINGING = 8  # samples of a hit's own length at the end of a record
 BEFORE = 0.05  # share of an impulse response before its start that is what a band-limited one rings
+OVER = 2.0  # times the variance that is taken off the power of lines outside the band
 ORDER = {**kinds.ORDER, "strain": 0, "angle": 0}
 
 
@@ -92,12 +93,16 @@ def of_own_length(table: Any, band: tuple[float, float] | None) -> tuple[Any, fl
 
 
 def _believed(table: Any, band: tuple[float, float] | None) -> NDArray[np.float64]:
-    """Share (lines, sensors, loads) of each line that is no error (Wiener), and 1 within the band."""
+    """Share (lines, sensors, loads) of each line that is no error (Wiener), and 1 within the band.
+
+    With twice the variance taken off (Berouti et al., ICASSP 1979): where a hit has no energy its FRFs are many times
+    those of the band and nothing but error, and a share of them by chance would leak into it.
+    """
     if table.variance is None:
         return np.ones(table.H.shape)
     half = max(5, len(table.H) // 500)
     power = smooth_lines(np.abs(table.H) ** 2, half)
-    share = np.clip(1 - smooth_lines(np.asarray(table.variance), half) / np.where(power > 0, power, 1.0), 0, 1)
+    share = np.clip(1 - OVER * smooth_lines(np.asarray(table.variance), half) / np.where(power > 0, power, 1.0), 0, 1)
     if band is not None:
         share[(table.frequencies >= band[0]) & (table.frequencies <= band[1])] = 1.0
     return share

@@ -21,6 +21,7 @@ LOW, LOW_DAMPING = (
 )  # what stands for rigid motion and all far below the band: share of its start, damping ratio
 NEAR, STAYS = 0.8, 0.51  # where a mode just below the band begins, and from where on it is one: times its start
 ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
+BOTH = 0.01  # of the highest, within which two resonators outside are one
 OUTSIDE = 0.02  # damping ratio of modes outside
 
 
@@ -116,8 +117,19 @@ def selected(
             return replace(fit, stayed=np.zeros(1, bool)), before
         kept = np.arange(len(losses)) != np.argmin(np.where(bad, losses, np.inf))
         fit = fitted(band, Poles(fit.poles[kept], fit.participation[kept], fit.rest), fit.stayed[kept], QUICK)
-    fit = fitted(band, fit.at, fit.stayed)
+    fit = parted(band, fitted(band, fit.at, fit.stayed))
     return fit, before - int(np.sum(fit.stayed))
+
+
+def parted(band: FrfBand, fit: ModalFit) -> ModalFit:
+    """A fit without resonators that moved onto one another: their shares are huge and cancel, a filter loses them."""
+    while len(fit.rest) > 1:
+        gap = np.abs(fit.rest[:, None] - fit.rest) + np.where(np.eye(len(fit.rest)), np.inf, 0.0)
+        if gap.min() > BOTH * np.abs(fit.rest).max():
+            return fit
+        kept = np.arange(len(fit.rest)) != np.argmin(gap.min(axis=1))
+        fit = fitted(band, Poles(fit.poles, fit.participation, fit.rest[kept]), fit.stayed)
+    return fit
 
 
 def reweighted(band: FrfBand, residual: Complex) -> FrfBand:
