@@ -291,6 +291,7 @@ MEANINGS = {
 CUTS = (0.10, 0.30, 0.90)  # expected relative error between the grades
 CONTRADICTED = ("LID-W308", "LID-W318", "LID-W412")  # the data speak against the answer itself
 FEW, MANY = 2.5, 5.0  # degrees of freedom that explain so many times as many readings: a simple load, confirmed
+WHOLE = 0.99  # share of the unknowns that is fitted whole
 SHARES = {"A": "19 of 20", "B": "9 of 10", "C": "9 of 10", "D": "half"}  # of what `MEASURED` states
 
 
@@ -364,8 +365,9 @@ def _percent(share: float) -> str:
 def expected_error(estimate: LoadEstimate) -> float:
     """Relative error that is expected of a load: of the posterior where that says more, else of its std.
 
-    Errors of variance S about a load of squared norm G leave a true load of G + S on average, so that it is below 1.
-    Over frequency lines those count that are trusted, where one is.
+    Errors of variance S about a load of squared norm G leave a true load of G + S on average, as the posterior of a prior
+    is smaller than its load, so that it is below 1. Where nothing was held back, the noise is part of G instead, and G - S
+    is left. Over frequency lines those count that are trusted, where one is.
     """
     if estimate.facts.expected_error is not None:
         return float(estimate.facts.expected_error)
@@ -373,7 +375,16 @@ def expected_error(estimate: LoadEstimate) -> float:
     if estimate.spectrum is not None and estimate.spectrum.load.shape == load.shape:
         trusted = estimate.trust()
         load, std = (load[trusted], std[trusted]) if trusted.any() else (load, std)
-    return relative(float(np.sum(std**2)), float(np.sum(np.abs(load) ** 2)))
+    error2, load2 = float(np.sum(std**2)), float(np.sum(np.abs(load) ** 2))
+    if _whole(estimate):
+        load2 = max(load2 - 2 * error2, 0.0)
+    return relative(error2, load2)
+
+
+def _whole(estimate: LoadEstimate) -> bool:
+    """Whether every unknown is fitted: nothing of the load is held back, and nothing of the noise."""
+    edf, n = estimate.facts.edf, estimate.facts.n
+    return edf is not None and n is not None and edf / (estimate.facts.frames or 1) >= WHOLE * n
 
 
 def relative(error2: float, load2: float) -> float:

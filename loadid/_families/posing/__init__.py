@@ -87,8 +87,9 @@ def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
 
 
 def on_states(model: Model, data: Data, settings: PosingSettings) -> Posed | None:
-    """The problem over the states of the model; None where it has none, or too many."""
-    if model.sampled or settings.lam.path != "auto" or not model.gives("state_space"):
+    """The problem over the states of the model; None where it has none, or too many, or a matrix is the penalty."""
+    named = isinstance(settings.penalty.L, str)
+    if model.sampled or settings.lam.path != "auto" or not named or not model.gives("state_space"):
         return None
     system = state_space_of(model, data.dt, settings.hold)
     if system is None or len(system.A) > MOST:
