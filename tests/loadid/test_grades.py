@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from loadid import Noise, StaticInversion
 from loadid._results.facts import LETTERS, MEASURED, expected_error
+from structures import Channel, MatrixModel
 from structures._flags import Evidence, Flag
 from tests.campaigns import grades
 
@@ -27,6 +30,19 @@ def test_the_expected_error_makes_the_grade(share, letter):
     e = of(share)
     assert e.grade.letter == letter
     assert expected_error(e) == pytest.approx(share / (1 + share**2) ** 0.5)
+
+
+@pytest.mark.parametrize(("share", "usable"), [(0.05, True), (0.3, True), (1.0, False)])
+def test_a_load_that_is_fitted_whole_has_its_noise_in_its_size(share, usable):
+    """Orthogonal readings of 400 loads, nothing regularised: what is found is the true load and the noise."""
+    rng = np.random.default_rng(3)
+    load, noise = rng.standard_normal((2, 400))
+    H = np.linalg.qr(rng.standard_normal((400, 400)))[0]
+    model = MatrixModel(H, sensors=[Channel(label=f"s{i}", quantity="strain") for i in range(400)],
+                        loads=[Channel(label=f"F{i}", unit="N") for i in range(400)])  # fmt: skip
+    e = StaticInversion(model, choice=1e-9, noise=Noise(np.full(400, share))).estimate(H @ load + share * noise)
+    assert e.grade.expected == pytest.approx(share, rel=0.1)
+    assert e.grade.usable is usable
 
 
 def test_cautions_lower_it_and_contradiction_is_the_worst():
