@@ -129,7 +129,8 @@ def check(
         where = record.name or Path(record.source).name or "record"
         findings.notes += [(where, note) for note in record.notes]
         findings.run("W206", where, record.health)
-        for code in ("W209", "W220"):
+        coarse = any(flag.code == "LID-W220" for flag in record.flags)
+        for code in ("W209", *(["W220"] if coarse else [])):  # what was not resampled is not asked
             findings.run(code, where, partial(_of, record.flags, code))
         if known is not None:
             check_pair(findings, known, record, where, responses)

@@ -90,7 +90,7 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
             notes.append(f"time begins at {run[0].head.start * scale:g} s in the file, at 0 in the record")
         return Table(
             np.column_stack(columns), name, tuple(labels), tuple(texts), dt=run[0].step * scale,
-            notes=tuple(notes), start=scale * run[0].head.start, begun=_begun(run[0]),
+            notes=tuple(notes), start=scale * run[0].head.start if _begun(run[0]) else None, begun=_begun(run[0]),
         )  # fmt: skip
     time = run[0].abscissa * scale
     return Table(

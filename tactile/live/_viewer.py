@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid._loopback import LoopbackHandler, LoopbackServer
+from loadid._loopback import LOCAL, LoopbackHandler, LoopbackServer
 
 from .._arrays import Array
 from .._results.forcemap import ForceMap
@@ -129,7 +129,7 @@ class _PageHandler(LoopbackHandler):
 
     def do_GET(self) -> None:
         """``/``, ``/layout`` and ``/pictures``."""
-        if not self.local:
+        if (self.headers.get("Host") or "").partition(":")[0] not in LOCAL:  # of any port: it may be forwarded
             self.say(403, "text/plain", "this page is for its own machine\n")
         elif self.path == "/":
             self.say(200, "text/html; charset=utf-8", files(__package__).joinpath("page.html").read_text("utf-8"))

@@ -30,7 +30,7 @@ def test_a_log_comes_back(run, logs, tmp_path, suffix):
 
 
 def test_a_result_is_its_loads_and_stds(run, logs, model, tmp_path):
-    assert run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5", "--choice", "0.001")[0] == 0
+    assert run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")[0] == 0
     assert run("convert", tmp_path / "r.h5", "-o", tmp_path / "load.npz")[0] == 0
     found, known = read(tmp_path / "load.npz"), LoadEstimate.read(tmp_path / "r.h5")
     assert found.labels == ("F", "F std")

@@ -172,5 +172,5 @@ def test_a_named_pipe_is_opened_once_and_read_to_its_end(tmp_path, monkeypatch):
     for ask in (require_source, open_source):
         with pytest.raises(InputError, match="closed"):
             ask("-")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no file of the folder is read"):
         require_source(str(tmp_path))
