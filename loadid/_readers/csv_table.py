@@ -257,12 +257,12 @@ def _layout(lines: list[str], source: Source, ended: bool) -> _Layout:
     sample = [lines[i] for i in (tail[:-1] if len(tail) > 1 else tail)]  # the very last line may be cut
     sample = sample[len(sample) // 2 :] if len(sample) < 100 else sample[-50:]
     fits = [(s, d, w) for s, d in TRIES if (w := _width(sample, s, d))]
-    if len(filled) == 1 and not ended:
-        source.refuse("no rows of numbers", repr(lines[tail[-1]][:60]), "a row that ends with its line")
     alone = not any(_width([lines[i]], s, d) for i in tail[:-1] for s, d in TRIES)
     if not fits and ended and alone:  # a heading and one row, which is whole
         fits = [(s, d, w) for s, d in TRIES if (w := _width([lines[tail[-1]]], s, d))]
     many = [f for f in fits if f[2] > 1]
+    if fits and not many and len(filled) == 1 and not ended:
+        source.refuse("one number is no table", repr(lines[tail[-1]][:60]), "rows of numbers")
     if not fits:
         bad = next((line for line in sample if not any(_width([line], s, d) for s, d in TRIES)), sample[-1])
         source.refuse("no rows of numbers", f"line {lines.index(bad) + 1}: {bad[:60]!r}",

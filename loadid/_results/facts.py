@@ -365,9 +365,9 @@ def _percent(share: float) -> str:
 def expected_error(estimate: LoadEstimate) -> float:
     """Relative error that is expected of a load: of the posterior where that says more, else of its std.
 
-    Errors of variance S about a load of squared norm G leave a true load of G + S on average, as the posterior of a prior
-    is smaller than its load, so that it is below 1. Where nothing was held back, the noise is part of G instead, and G - S
-    is left. Over frequency lines those count that are trusted, where one is.
+    Errors of variance S about a load of squared norm G leave a true load of G + S on average, as the posterior of a
+    prior is smaller than its load, so that it is below 1. Where nothing was held back, the noise is part of G instead,
+    and G - S is left. Over frequency lines those count that are trusted, where one is.
     """
     if estimate.facts.expected_error is not None:
         return float(estimate.facts.expected_error)
