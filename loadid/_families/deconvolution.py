@@ -175,7 +175,7 @@ class Deconvolution:
         if fit.offsets is not None:
             found = replace(found, facts=Facts.of({**found.facts, "offsets": fit.offsets.words(data)}))
         states = cache(lambda: self._over_states(posed, data))
-        anywhere = partial(on_states, self.model, data, replace(self.settings, support=None))
+        anywhere = cache(partial(on_states, self.model, data, replace(self.settings, support=None)))
         local = local_variance.learned(posed, self.settings, found.load, states, anywhere)
         acting = self.settings.acting(len(found.load), data.dt)
         found = local_variance.replaced(found, local, choice, data.dt, acting)

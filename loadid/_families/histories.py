@@ -248,4 +248,4 @@ def missed(load: Array, acting: Array, dt: float, windows: Sequence[tuple[float,
     parts = sorted(parts, key=lambda part: -float(np.sum(size[part] ** 2)))[:PULSES]
     ends = sorted((max(int(p[0]) - MARGIN, 0) * dt, min(int(p[-1]) + MARGIN, len(load) - 1) * dt) for p in parts)
     outside = float(np.sum(size[~acting] ** 2) / np.sum(size**2))
-    return guards.window_missed(ratio, outside, windows, ends)
+    return guards.window_missed(ratio, BETTER, outside, windows, ends)

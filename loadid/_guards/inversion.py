@@ -101,19 +101,20 @@ def not_told(chance: float, least: str) -> Flag:
 
 
 def window_missed(
-    ratio: float, outside: float, windows: Sequence[tuple[float, float]], found: Sequence[tuple[float, float]]
-) -> Flag:
+    ratio: float, threshold: float, outside: float, windows: Sequence[tuple[float, float]],
+    found: Sequence[tuple[float, float]],
+) -> Flag:  # fmt: skip
     """W319: windows of a load leave `ratio` times the residual of a load at any time, which lies in `found` (s)."""
 
     def said(pairs: Sequence[tuple[float, float]]) -> str:
-        return ", ".join(f"{1e3 * a:.4g} to {1e3 * b:.4g} ms" for a, b in pairs)
+        return ", ".join(f"{1e3 * a:.6g} to {1e3 * b:.6g} ms" for a, b in pairs)
 
     ends = [(round(a, 9), round(b, 9)) for a, b in found]
     python = f"support={ends[0] if len(ends) == 1 else ends}"
-    words = " ".join(f"--support {a:g}:{b:g}" for a, b in ends)
+    words = " ".join(f"--support {a:.10g}:{b:.10g}" for a, b in ends)
     return Flag(
         "W319",
-        Evidence("residual with the windows over that without", float(ratio), 1.5),
+        Evidence("residual with the windows over that without", float(ratio), threshold),
         f"the window ({said(windows)}) misses the load: without it the residual is {ratio:.3g} times smaller, and the "
         f"load lies at {said(found)}, {outside:.0%} of its energy outside the window",
         Advice("take the window that the data ask for (", Spelling(python, words), "), or none"),

@@ -204,8 +204,7 @@ def _log(log: Any, name: str) -> dict[str, Any] | None:
     told = describe(log)
     t = np.arange(len(log.values)) * log.dt
     curves = [
-        {"label": c.label, "unit": c.unit, **curve(t, v, digits=5)}
-        for c, v in zip(log.channels, log.values.T, strict=True)
+        {"label": c.label, "unit": c.unit, **curve(t, v)} for c, v in zip(log.channels, log.values.T, strict=True)
     ]
     channels = [
         {key: one[key] for key in ("label", "unit", "recorded_unit", "quantity", "min", "max", "rms", "offset", "noise",

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-BINS = 500  # of a long curve, each drawn as its lowest and its highest value
+BINS = 320  # of a long curve, each drawn as its lowest and its highest value
+DIGITS = 5  # of what is only drawn, but for the axis
 MODES = 400  # of a Picard plot
 KEPT = 128  # lambdas
 Z95 = 1.959963984540054
@@ -209,11 +210,11 @@ def _plain(value: Any) -> float:
     return float(np.abs(value) if np.iscomplexobj(value) else value)
 
 
-def curve(x: Array, y: Array, *ends: Array, digits: int = 6) -> dict[str, Array]:
+def curve(x: Array, y: Array, *ends: Array) -> dict[str, Array]:
     """A curve, with its band where it has one; of a long one the lowest and the highest value of every bin."""
     names = ("x", "y", "low", "high")
     if len(y) <= 2 * BINS:
-        return {name: shortened(one, digits) for name, one in zip(names, (x, y, *ends), strict=False)}
+        return _brief(dict(zip(names, (x, y, *ends), strict=False)))
     width = -(-len(y) // BINS)
 
     def binned(values: Array, nothing: float) -> Array:
@@ -228,11 +229,16 @@ def curve(x: Array, y: Array, *ends: Array, digits: int = 6) -> dict[str, Array]
     both = np.where((first <= last)[:, None], both, both[:, ::-1]).ravel()
     starts = np.arange(0, len(y), width)
     at = np.column_stack([starts, np.minimum(starts + width // 2, len(y) - 1)]).ravel()
+    apart = np.r_[True, np.diff(at) > 0]  # not where the last bin holds one value
     found = {"x": x[at], "y": np.where(np.isfinite(both), both, np.nan)}
     if ends:
         found["low"] = np.repeat(binned(ends[0], np.inf).min(axis=1), 2)
         found["high"] = np.repeat(binned(ends[1], -np.inf).max(axis=1), 2)
-    return {name: shortened(one, digits) for name, one in found.items()}
+    return _brief({name: one[apart] for name, one in found.items()})
+
+
+def _brief(curves: dict[str, Array]) -> dict[str, Array]:
+    return {name: shortened(one, 6 if name == "x" else DIGITS) for name, one in curves.items()}
 
 
 def shortened(values: Array, digits: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import pytest
 
 from loadid._lab.server import Lab
 from tactile import Layer
-from tactile._lab.gelpad import page
-from tactile._lab.walk import AT, Steps, apparent, eye, rig, walk
+from tactile._lab.gelpad import STILL, page
+from tactile._lab.walk import AT, Steps, apparent, completed, eye, ridged, rig, walk
 
 from .asked import asked
 
@@ -119,20 +118,28 @@ def test_the_table_of_the_documentation_is_what_comes_out() -> None:
             assert code in found[2] or ("inversion" in said and code in told(**given, ridge=True)[2])
 
 
-def test_a_switch_is_answered_at_once_and_again_faster() -> None:
-    told()
-    begun = time.process_time()
-    told(noise=7.0, wrong=True, ridge=True)
-    once = time.process_time() - begun
-    begun = time.process_time()
-    told(noise=7.0, wrong=True, ridge=True)
-    assert once < 1.0
-    assert time.process_time() - begun < 0.2
+def test_nothing_is_made_twice() -> None:
+    given = (False, False, 7.0, False, True)
+    assert completed(*given) is completed(*given)
+    assert ridged(*given, False) is ridged(*given, False)
+
+
+def test_what_the_page_holds_is_not_sent_again() -> None:
+    right = dict.fromkeys(("vanish", "naive", "ignored", "uncorrected", "wrong", "ridge"), False)
+    with Lab([page]) as lab:
+        first, whole, rest = (asked(lab, "gelpad/walk", **right, noise=noise, known=known)[1]
+                              for noise, known in ((1.0, False), (3.0, False), (3.0, True)))  # fmt: skip
+    for step, names in STILL.items():
+        for name in names:
+            assert name not in rest[step]
+            assert whole[step][name] == first[step][name]  # no noise changes it
+    joined = {step: {**first[step], **told} if step in STILL else told for step, told in rest.items()}
+    assert joined == whole
 
 
 def test_the_page_answers_what_it_declares_and_refuses_the_rest() -> None:
     right = {"vanish": False, "naive": False, "ignored": False, "uncorrected": False, "wrong": False, "ridge": False,
-             "noise": 1.0}  # fmt: skip
+             "noise": 1.0, "known": False}  # fmt: skip
     with Lab([page]) as lab:
         status, found = asked(lab, "gelpad/walk", **right)
         assert status == 200
