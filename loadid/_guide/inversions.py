@@ -13,8 +13,10 @@ import numpy as np
 from structures._flags import Flag
 from structures.errors import InputError
 
+from .._commands import _inputs as inputs
 from .._commands._job import resolved
-from .._commands._settings import CONSTRAINTS, known
+from .._commands._settings import CONSTRAINTS, known, load_family
+from .._commands.identify import family_settings
 from .._results.summary import UNEXPLAINED
 from .context import AMPLITUDES, GuidedJob
 from .outcome import Asked, Outcome
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from .._results.estimate import LoadEstimate
 
 STAGES = {4: "2356", 7: "45"}  # first digits of the codes that a step of the inversion shows
+BESIDE = ("validation", "at", "mean", "noise")  # settings of a job that the family itself does not take
 ABOUT_CONSTRAINTS, ABOUT_PRIOR = ("LID-W308", "LID-E309", "LID-W316"), ("LID-W311", "LID-N303")
 
 
@@ -265,9 +268,7 @@ def precomputed(asked: Asked) -> Outcome:
     made = {asked.folder / f"{asked.stem}.frozen.toml": text.encode()}
     figures: dict[str, Any] = {"lam": frozen["choice"], "frozen_job": f"{asked.stem}.frozen.toml"}
     if job.family == "static":
-        from .inverse import frozen_inverse
-
-        inverse = frozen_inverse(job, frozen)
+        inverse = _frozen_inverse(job, frozen)
         readings = np.atleast_2d(np.asarray(e.response, float))[:64]
         begun = time.perf_counter()
         loads = np.stack([inverse(row) for row in readings])
@@ -290,6 +291,27 @@ def precomputed(asked: Asked) -> Outcome:
     said = (f"no matrix stands for a history: {duration:.4g} s of record in {spent:.3g} s of CPU at the frozen lambda; "
             f"differs from the load of step 7 by {100 * off:.2g} %")  # fmt: skip
     return Outcome(said, figures, (), True, made)
+
+
+def _frozen_inverse(job: GuidedJob, frozen: Mapping[str, Any]) -> Any:
+    """`StaticInversion.freeze` of the settings of a job.
+
+    Raises
+    ------
+    InputError
+        From the family: sensors of several units without noise levels, say.
+    """
+    options = {**job.options, **frozen}
+    labels = [s.label for s in job.model.sensors]
+    out = [str(one) for one in options.get("validation") or ()]
+    used = [str(one) for one in options.get("sensors") or labels if str(one) not in out]
+    settings = {name: value for name, value in options.items() if name not in BESIDE}
+    if out:
+        settings["sensors"] = used
+    if options.get("noise") is not None:
+        settings["noise"] = inputs.noise(options["noise"], labels, used)
+    chosen = load_family("static")
+    return chosen(job.model, **family_settings(settings, chosen, job.model)).freeze()
 
 
 def _bytes_of(inverse: Any, path: Path) -> bytes:

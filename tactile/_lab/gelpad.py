@@ -15,7 +15,7 @@ STILL = {
 
 
 def _walk(known: bool, **given: Any) -> dict[str, Any]:
-    """All six steps; where the page holds an answer to the same dots and eye, without what is `STILL` as it was there."""
+    """All six steps; where the page holds an answer to the same dots and eye, without what is `STILL` so."""
     from .walk import Steps, walk
 
     found = walk(Steps(**given))
