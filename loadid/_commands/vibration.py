@@ -242,8 +242,8 @@ def page(found: Drives, job: str) -> str:
     told = described(found)
     sensors = [(name, f"{e['rms']:.2f}", f"{e['worst']:.1f}") for name, e in told["error_db"].items()]
     drives = [(name, f"{d['rms']:.4g} {d['unit']}") for name, d in told["drives"].items()]
-    binding = [name for name in found.limits if any(b.startswith(name) for b in found.bound)]
-    limits = [(name, "binds" if name in binding else "kept, with room") for name in found.limits]
+    limits = [(name, "binds" if met > 0 else "kept, with room")
+              for name, met in zip(found.limits, found.met, strict=True)]  # fmt: skip
     first = (f"{found.rms_error:.2f} dB rms off the target, {found.within:.1%} of lines and sensors within "
              f"{found.tolerance:g} dB")  # fmt: skip
     picture = _page.image(drawn(found.plot(), "png"), "target, response and drives over frequency")

@@ -234,16 +234,22 @@ class Drives(ReadOnly):
         return replace(self, flags=found)
 
     @property
+    def met(self) -> Real:
+        """Share of the lines on which each limit is met, (limits,); 1 for one over all lines that is."""
+        if not self.limits:
+            return np.zeros(0)
+        caps, power = self._caps(), self._caps().power(self._power())
+        whole = np.sum(caps.widths * power, axis=1) >= (1 - MET) * caps.total
+        return np.where(whole, 1.0, np.mean(power >= (1 - MET) * caps.most, axis=1))
+
+    @property
     def bound(self) -> tuple[str, ...]:
         """Limits that are met, with the share of the lines on which they are, and what the best drives would need."""
-        caps, power = self._caps(), self._caps().power(self._power())
-        met = np.mean(power >= (1 - MET) * caps.most, axis=1)
-        whole = np.sum(caps.widths * power, axis=1) >= (1 - MET) * caps.total
         found = []
-        for c, name in enumerate(self.limits):
-            if met[c] > 0 or whole[c]:
+        for c, (name, met) in enumerate(zip(self.limits, self.met, strict=True)):
+            if met > 0:
                 more = self.passed[c] if c < len(self.passed) else 0.0
-                found.append(name + ("" if whole[c] else f" on {met[c]:.0%} of the lines")
+                found.append(name + ("" if met == 1 else f" on {met:.0%} of the lines")
                              + (f", {more:.0f} dB below what the best drives need" if more >= 0.5 else ""))  # fmt: skip
         return tuple(found)
 
@@ -279,7 +285,7 @@ class Drives(ReadOnly):
         size = self.rms if self.kind == "random" else self.level.max(axis=0)
         lines += [f"  {c.label}: {what} {x:.4g} {c.unit}" for c, x in zip(self.loads, size, strict=True)]
         lines += [f"limit that binds: {name}" for name in self.bound]
-        lines += [f"limit kept, with room: {n}" for n in self.limits if not any(b.startswith(n) for b in self.bound)]
+        lines += [f"limit kept, with room: {n}" for n, met in zip(self.limits, self.met, strict=True) if met == 0]
         return "\n".join([*lines, *(str(flag) for flag in self.flags)])
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, show: bool = False) -> Figure:

@@ -277,6 +277,8 @@ def _known(made: Completed) -> tuple[Array, Array, Array]:
 # -- what is shown -----------------------------------------------------------------------------------------------------
 def walk(steps: Steps) -> dict[str, Any]:
     """All six steps with what goes in and what comes out, the map, its two errors and every flag; mm, px, kPa, N."""
+    from loadid._lab.shown import flags_of
+
     r, sight = rig(), eye(steps.uncorrected)
     found = matched(steps.vanish, steps.naive)
     seen = apparent(steps.vanish, steps.naive, steps.noise)
@@ -296,7 +298,7 @@ def walk(steps: Steps) -> dict[str, Any]:
         "normal": _normal(made),
         "solve": _solved(given, steps),
         "map": _map(forces),
-        "flags": _told(flags),
+        "flags": flags_of({flag.code: flag for flag in flags if flag is not None}.values()),  # each code once
     }  # fmt: skip
 
 
@@ -401,17 +403,6 @@ def _map(forces: Array) -> dict[str, Any]:
         "force": forces.sum(axis=0), "true_force": np.array(r.press.vector),
         "resultant_error": total, "map_error": spread,
     }  # fmt: skip
-
-
-def _told(flags: Any) -> list[dict[str, str]]:
-    """Flags in words, each code once, those that matter most first."""
-    from loadid._results.summary import sort
-
-    once = {flag.code: flag for flag in flags if flag is not None}
-    return [
-        {"code": flag.code.removeprefix("LID-"), "level": flag.level, "message": str(flag.message),
-         "advice": str(flag.advice)} for flag in sort(list(once.values()))
-    ]  # fmt: skip
 
 
 def picture(vanish: bool, rest: bool) -> str:

@@ -129,12 +129,15 @@ def test_limits_hold_and_cost_no_more_than_they_must() -> None:
     assert held.rms[0] == pytest.approx(wide, rel=1e-6)
     assert held.level[:, 2].max() <= lines * (1 + 1e-9)
     assert len(held.bound) == 2
+    assert held.met[0] == 1
+    assert 0 < held.met[1] < 1
     assert free.rms_error - 1e-6 < held.rms_error < free.rms_error + 0.5
     scaled = 10 * np.log10(0.25) + free.error  # all drives turned down until shaker 1 keeps its limit
     assert held.rms_error < 0.3 * np.sqrt(np.mean(scaled**2))
     loose = find_drives(m, target, limits=[Limit("shaker 1", rms=2 * float(free.rms[0]))])
     assert np.array_equal(loose.matrix, free.matrix)
     assert loose.bound == ()
+    assert loose.met == pytest.approx([0.0])
 
 
 def test_a_response_limit_holds_on_frfs_that_are_not_quite_right() -> None:
