@@ -289,6 +289,8 @@ def _at_rail(y: Vector, step: float) -> tuple[Runs, str]:
     # An amplifier that saturates before the converter leaves a plateau with a little noise on it.
     near = [(a, b) for a, b in _runs(y >= top - 0.005 * span) if b - a >= RAIL_RUN and a > 1 and b < len(y) - 1]
     near = [(a, b) for a, b in near if b - a < 0.1 * len(y) and _entry(y, (a, b), top, both=True) > 0.05 * span]
+    if len(near) == 1 and near[0][1] - near[0][0] <= RAIL_RUN:  # a crest of several modes is as flat once
+        near = []
     return near, "possible"
 
 
