@@ -21,14 +21,19 @@ ADDRESS = r"http://127\.0\.0\.1:\d+/\?token=[\w-]{32}"
 
 
 def test_it_prints_one_line_and_ends_by_an_interrupt() -> None:
-    code = "import sys; from loadid.cli import main; sys.exit(main(['lab', '--no-browser']))"
+    # a shell that starts the tests in the background mutes the interrupt
+    heard = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{heard}; from loadid.cli import main; sys.exit(main(['lab', '--no-browser']))"
     pipe, words = subprocess.PIPE, [sys.executable, "-c", code]
     with subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True) as running:
         assert running.stdout is not None
         line = running.stdout.readline()
         assert re.fullmatch(rf"the lab is at {ADDRESS} \(Ctrl-C ends it\)\n", line), line
         running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=20)
+        try:
+            out, err = running.communicate(timeout=20)
+        finally:
+            running.kill()
     assert (running.returncode, out, err) == (0, "", "the lab has ended\n")
 
 
