@@ -20,7 +20,8 @@ import numpy as np
 
 from loadid._lab.pages import pages
 from loadid._lab.server import Lab
-from tests.lab_pages.client import CHROMIUM, asked
+from tests.browser import chromium
+from tests.lab_pages.client import asked
 from tests.lab_pages.fuzz import accepted, bodies
 
 SLIDERS = {"contact": ("lam", "t", "eta", "spacing"), "lcurve": ("lam",)}
@@ -89,8 +90,6 @@ def visited(browser: Any, lab: Lab, name: str) -> list[tuple[str, ...]]:
 
 def timed() -> None:
     """Print the table of times."""
-    from playwright.sync_api import sync_playwright
-
     print(f"from the start of the command to its address: {1e3 * started():.0f} ms")
     head = (
         "page",
@@ -104,13 +103,11 @@ def timed() -> None:
         "wrong",
     )
     rows = [head]
-    with Lab(pages()) as lab, sync_playwright() as playwright:
+    with Lab(pages()) as lab, chromium() as browser:
         asked(lab, lab.address.removeprefix(lab.http.address))
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         for name in lab.pages:
             if name in SLIDERS or not any(call.upload for call in lab.pages[name].calls.values()):
                 rows += visited(browser, lab, name)
-        browser.close()
     widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
     for row in rows:
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

@@ -20,6 +20,7 @@ from loadid._lab.server import Lab
 from loadid._lab.shown import Shown
 from structures._threads import one_thread
 from tactile._lab.gelpad import page as gelpad
+from tests.browser import chromium
 
 from . import lab as base
 
@@ -55,19 +56,15 @@ def answers(one: Shown) -> Any:
 
 def main() -> None:
     """Print the tables."""
-    from playwright.sync_api import sync_playwright
-
     estimates, rows = shown(), []
     state = {"model": None, "log": None, "found": True, "given": True}
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=base.CHROMIUM, args=["--no-sandbox"])
+    with chromium() as browser:
         with Lab([gelpad]) as lab:
             rows += [("gel pad", *row) for row in base.visited(browser, lab, "gelpad")]
         for name, one in estimates.items():
             page = page_with(lambda one=one: one, {"state": Call(lambda: state)})  # type: ignore[misc]
             with Lab([page]) as lab:
                 rows += [(name, *row) for row in base.visited(browser, lab, "own")]
-        browser.close()
     print("what, page, first paint ms, usable ms, slider, p50 ms, p95 ms, kB opened, kB all (requests), wrong")
     for row in rows:
         print(", ".join(row))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,8 +13,6 @@ from urllib.parse import quote
 import pytest
 
 from loadid._lab.server import Lab
-
-CHROMIUM = shutil.which("chromium")
 
 
 def posted(lab: Lab, path: str, body: bytes, headers: Mapping[str, str]) -> tuple[int, Any]:
@@ -41,18 +38,6 @@ def sent(lab: Lab, path: str, content: bytes | Path, name: str = "", **given: st
     name = name or (content.name if isinstance(content, Path) else "file")
     told = {"X-Lab-File": quote(name), "X-Lab-Parameters": quote(json.dumps(given))}
     return posted(lab, f"/{path}", data, {"Content-Type": "application/octet-stream", **told})
-
-
-@contextmanager
-def chromium() -> Iterator[Any]:
-    """A browser; the test is skipped where there is none."""
-    api = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here")
-    with api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @contextmanager

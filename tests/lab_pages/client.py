@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import http.client
 import json
-import shutil
 from typing import Any
 
 from loadid._lab.server import TOKEN, Lab
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 def asked(

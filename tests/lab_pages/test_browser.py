@@ -12,11 +12,8 @@ import pytest
 
 from loadid._lab.pages import pages
 from loadid._lab.server import Lab
+from tests.browser import chromium
 
-from .client import CHROMIUM
-
-playwright = pytest.importorskip("playwright.sync_api")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 OWN = ("contact", "lcurve", "cards")
 READY = "document.documentElement.dataset.drawn >= 1"
 SERIOUS = ("serious", "critical")
@@ -30,10 +27,8 @@ def lab() -> Iterator[Lab]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        found = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as found:
         yield found
-        found.close()
 
 
 def wait(page: Any, expression: str, seconds: float = 30) -> None:

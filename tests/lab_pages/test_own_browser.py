@@ -12,8 +12,9 @@ from loadid import Deconvolution, datasets
 from loadid._lab.own import page_of
 from loadid._lab.server import Lab
 from tactile._lab.gelpad import page as gelpad
+from tests.browser import chromium
 
-from .asked import chromium, drawn, opened, serious, until
+from .asked import drawn, opened, serious, until
 
 WIDTH = "document.documentElement.scrollWidth"
 
