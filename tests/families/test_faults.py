@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, FrequencyInversion, Record, StaticInversion
-from loadid._inverse.diagnosis import faults
+from loadid._inverse.diagnosis import leave_one_out, suspects
 from loadid._results.estimate import LoadEstimate
 from loadid._results.faults import SensorFault
 from structures import ForwardModel, InputError, beams, damping, loads, sensors
@@ -146,11 +146,11 @@ def test_what_one_factorisation_says_of_every_hypothesis_is_what_solving_it_anew
     y = H @ drawn(lines, 3, 2) + 0.1 * drawn(lines, 8, 2)
     y[:, 2] *= 1.7
     noise, size = rng.uniform(0.01, 0.03, (lines, 8)), np.mean(np.abs(y) ** 2, axis=2)
-    read = faults.SensorLines(H, y, noise, size, True, 1.0 if kind is complex else 0.5)
-    whole = faults.left_out(read, 0.03)
-    without = [faults._without(read, 0.03, whole, i) for i in range(8)]
-    for told in (*without, *faults._exchanges(read, 0.03, whole)):
-        anew = faults.left_out(told.lines, 0.03)
+    read = leave_one_out.SensorLines(H, y, noise, size, True, 1.0 if kind is complex else 0.5)
+    whole = leave_one_out.left_out(read, 0.03)
+    without = [suspects._without(read, 0.03, whole, i) for i in range(8)]
+    for told in (*without, *suspects._exchanges(read, 0.03, whole)):
+        anew = leave_one_out.left_out(told.lines, 0.03)
         assert told.misfit == pytest.approx(anew.misfit, rel=1e-9)
         for name in ("rest", "precision", "limit", "excess"):
             np.testing.assert_allclose(getattr(told.left, name), getattr(anew, name), rtol=1e-7, atol=1e-10)
