@@ -19,6 +19,7 @@ from structures._flags import Evidence, Flag
 from structures.errors import InputError, plain
 
 from ._inverse.problem import NoiseSource
+from ._tone import SHARE, tone
 
 if TYPE_CHECKING:
     from ._record import Record
@@ -34,6 +35,7 @@ QUIET_MIN = 64  # samples below which a noise level is not worth stating
 ONSET = 6.0  # threshold of the onset in robust standard deviations
 CONTRAST = 20.0  # peak over noise below which nothing has started
 LINEAR = 0.1  # strain beyond which no linear model holds
+HUM = "find its source (ground, cable, a motor nearby) and record again; a load at this frequency is no load"
 OFFSET = 3.0  # mean of the quiet part over its std
 
 
@@ -48,7 +50,7 @@ def health(record: Record) -> tuple[Flag, ...]:
     -------
     tuple of Flag
         Empty when nothing is wrong. The evidence names the kind: ``missing``, ``flat``, ``clipped``, ``overload``,
-        ``saturated``, ``held``, ``dead``, ``offset``, ``strain``.
+        ``saturated``, ``held``, ``dead``, ``offset``, ``tone``, ``strain``.
     """
     return tuple(f for i in range(len(record.channels)) for f in _findings(record, i))
 
@@ -262,6 +264,11 @@ def _findings(record: Record, column: int) -> list[Flag]:
             text = f"note: offset {mean:.4g}{unit} in the quiet part ({len(part)} samples, noise {std:.3g}; certain)"
             ratio = abs(mean) / std if std > 0 else float("inf")
             found.append(flag("offset", min(ratio, 1e300), OFFSET, text, "subtract it if the sensor cannot measure it"))
+        hum = tone(part, record.dt)
+        if hum is not None:
+            text = (f"a tone of {hum.frequency:.4g} Hz and amplitude {hum.amplitude:.3g} is {hum.share:.0%} of what it "
+                    "reads before the response: hum of the mains or a machine, or an older vibration")  # fmt: skip
+            found.append(flag("tone", hum.share, SHARE, text, HUM))
     return found
 
 

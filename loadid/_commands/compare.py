@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 from structures.errors import InputError, NotIdentifiable
 from structures.files import _storage as storage
 
-from .._results.summary import Z95
+from .._results.summary import NOT_TOLD, Z95
 from . import (
+    NOT_USABLE,
     Bar,
     Command,
     add_log_options,
@@ -70,6 +71,8 @@ class FamilyRow:
     Parameters
     ----------
     name : str
+    grade : str
+        Letter of the estimate's grade; "" where there is none.
     peak, std : float
         Largest load and its std, in the unit of the load.
     impulse : float
@@ -89,6 +92,7 @@ class FamilyRow:
     """
 
     name: str
+    grade: str = ""
     peak: float | None = None
     std: float | None = None
     impulse: float | None = None
@@ -148,6 +152,7 @@ class RecordComparison:
     def _tables(self) -> list[str]:
         kept = f", kept out: {', '.join(self.kept_out)}" if self.kept_out else ""
         said = [f"families, {self.load}{kept}", table([list(FAMILY_HEAD), *map(_family_cells, self.families)]), LEGEND]
+        said += [self.warning] if self.warning else []
         said += [self.omitted] if self.left_out else []
         said += [f"refused: {r.name}: {r.refused}" for r in self.families if r.refused]
         if self.rules:
@@ -156,6 +161,27 @@ class RecordComparison:
                 table([list(RULE_HEAD), *map(_rule_cells, self.rules)]),
             ]
         return said
+
+    @property
+    def usable(self) -> bool:
+        """Whether one family answered with a number that may be used, and none found nothing but noise."""
+        return not self.noise and any(e.grade.usable for e in self.estimates.values())
+
+    @property
+    def noise(self) -> tuple[str, ...]:
+        """Families that tell no load from noise; those without such a test are not asked."""
+        return tuple(n for n, e in self.estimates.items() if any(flag.code == NOT_TOLD for flag in e.flags))
+
+    @property
+    def warning(self) -> str:
+        """That no number of the table is to be used, in words; "" where one is."""
+        if self.usable:
+            return ""
+        if self.noise:
+            first = f"no load is told from noise ({', '.join(self.noise)})"
+            return f"{first}: the other rows show what their priors make of noise"
+        why = "every grade is D" if self.estimates else "every family refused"
+        return f"no number of this table may be used: {why}"
 
     @property
     def omitted(self) -> str:
@@ -169,23 +195,23 @@ class RecordComparison:
         return {
             "load": self.load, "kept_out": list(self.kept_out), "verdict": self.verdict,
             "families": [asdict(row) for row in self.families], "rules": [asdict(row) for row in self.rules],
-            "left_out": list(self.left_out),
+            "left_out": list(self.left_out), "usable": self.usable,
         }  # fmt: skip
 
 
-FAMILY_HEAD = ("family", "peak", "± 95 %", "impulse", "band", "fit", "held out", "criterion", "CPU s")
+FAMILY_HEAD = ("family", "grade", "peak", "± 95 %", "impulse", "band", "fit", "held out", "criterion", "CPU s")
 LEGEND = (
-    "  ± 95 %: half the 95 % band at the peak; band: rms std over the rms of the load; fit: rms residual over the rms\n"
-    "  of the response; held out: largest relative error of the sensors that were kept out and predicted; criterion:\n"
-    "  that of the prior above the best"
+    "  grade: how far it may be trusted, D: not at all; ± 95 %: half the 95 % band at the peak;\n"
+    "  band: rms std over the rms of the load; fit: rms residual over the rms of the response; held out: largest\n"
+    "  relative error of the sensors that were kept out and predicted; criterion: that of the prior above the best"
 )
 RULE_HEAD = ("rule", "lambda", "edf", "residual", "peak", "note")
 
 
 def _family_cells(row: FamilyRow) -> list[str]:
     half = None if row.std is None else Z95 * row.std
-    return [row.name, _short(row.peak), _short(half), _short(row.impulse), _share(row.band), _share(row.fit),
-            _share(row.held_out), _short(row.criterion), _short(row.cost)]  # fmt: skip
+    return [row.name, row.grade or "-", _short(row.peak), _short(half), _short(row.impulse), _share(row.band),
+            _share(row.fit), _share(row.held_out), _short(row.criterion), _short(row.cost)]  # fmt: skip
 
 
 def _rule_cells(row: RuleRow) -> list[str]:
@@ -297,7 +323,7 @@ def _row(
     if family != "static" and e.axis is not None and e.axis.name == "time":
         impulse = float(np.sum(e.load[:, at[-1]]) * e.over("time").step)
     return FamilyRow(
-        name, float(np.real(e.load[at])), float(e.std[at]), impulse,
+        name, e.grade.letter, float(np.real(e.load[at])), float(e.std[at]), impulse,
         float(np.sqrt(np.mean(e.std**2)) / size) if size > 0 else None,
         float(np.linalg.norm(np.asarray(e.residual)) / max(float(np.linalg.norm(response)), 1e-300)),
         _predicted(family, own, model, record, kept, level), None, cost,
@@ -400,7 +426,7 @@ def _run(args: Namespace) -> int:
     written = [path for path in (args.output, args.plot) if path is not None]
     said = [str(found), *([f"written: {', '.join(map(str, written))}"] if written else [])]
     emit(args, {**found.to_dict(), "written": [str(path) for path in written]}, "\n".join(said))
-    return 0
+    return 0 if found.usable else NOT_USABLE
 
 
 def _picture(found: RecordComparison, path: str | Path) -> bytes:
@@ -435,7 +461,7 @@ def _page(found: RecordComparison, log: str) -> str:
     sections = [
         page.PageSection("Families", page.joined(
             page.table([_family_cells(row) for row in found.families], FAMILY_HEAD),
-            page.paragraphs(" ".join(LEGEND.split()), *([found.omitted] if found.left_out else [])))),
+            page.paragraphs(*filter(None, [found.warning, " ".join(LEGEND.split()), found.omitted])))),
         page.PageSection("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
         page.PageSection("Refused", page.paragraphs(*refused) if refused else ""),
         page.PageSection("Rules for lambda", page.joined(

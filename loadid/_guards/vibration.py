@@ -10,6 +10,7 @@ from structures._flags import Evidence, Flag
 OUTSIDE = 0.05  # share of sensors and lines outside the tolerance that no drives of these shakers avoid
 COST = 0.5  # dB rms that limits may cost
 RIGID = 0.9  # share of the power of sensors around a point that a rigid motion explains
+PLACED = 3.0  # power over that of the noise; 1.0 where all is right, 6 for hits 1 mm off and FRFs to 1 %
 
 
 def unreachable(error: NDArray[np.float64], tolerance: float, names: tuple[str, ...]) -> Flag | None:
@@ -89,4 +90,23 @@ def not_rigid(name: str, share: NDArray[np.float64], frequencies: NDArray[np.flo
         Evidence(f"share of the lines on which {name} is not rigid", float(np.mean(low)), OUTSIDE),
         f"around {name} a rigid motion explains less than {RIGID:.0%} of the power on {np.mean(low):.0%} of the lines, "
         f"from {frequencies[low][0]:.4g} Hz on (least {share.min():.0%})",
+    )
+
+
+def misplaced(name: str, ratio: float | None) -> Flag | None:
+    """W119: the FRFs of the loads around a virtual point contradict their places.
+
+    Parameters
+    ----------
+    ratio : float or None
+        Power of what they do as on no rigid part, over that of their noise; None where that is not known.
+    """
+    if ratio is None or ratio <= PLACED:
+        return None
+    return Flag(
+        "W119",
+        Evidence(f"contradiction of the loads around {name} over their noise, power", ratio, PLACED),
+        f"the loads around {name} act as on no rigid part with the places stated: their FRFs contradict each other "
+        f"{ratio:.3g} times more than noise does, and the moments at {name} are off by more than their band",
+        "measure the places and directions of the hits again (millimetres matter), or take them as single forces",
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -82,7 +81,7 @@ def _table(run: list[Function], name: str, file: UffFile, source: Source) -> Tab
     notes = [*filter(None, [file.title]), *file.notes, *dict.fromkeys(note for f in run for note in f.notes)]
     said = [unit_of(f.head.axes[1], f.head.response[2], file.system) for f in run]
     notes += [f"{label}: {s.why}" for label, s in zip(labels, said, strict=True) if s.why]
-    columns = [_real(f, source) * _scale(s) for f, s in zip(run, said, strict=True)]
+    columns = [np.real(f.values) * _scale(s) for f, s in zip(run, said, strict=True)]
     texts: list[str | None] = [_text(s) for s in said]
     scale = _seconds(run[0], source)
     if run[0].step is not None:
@@ -103,17 +102,6 @@ def _begun(function: Function) -> str:
     """When the record began, of the third line of text, where instruments put it; its abscissa may begin later."""
     text = function.head.ids[2].strip()
     return text if _stamps.form(text) in ("stamp", "date") else ""
-
-
-def _real(function: Function, source: Source) -> Any:
-    values = function.values
-    if np.iscomplexobj(values):
-        if np.any(values.imag):
-            source.refuse("a time response with complex values",
-                          f"{function.response or 'unnamed'}, line {function.line}", "real samples",
-                          "a spectrum is no time response: its function type is wrong")  # fmt: skip
-        values = values.real
-    return values
 
 
 def _seconds(function: Function, source: Source) -> float:

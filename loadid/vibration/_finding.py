@@ -204,7 +204,12 @@ def _limits(
             total[n] = value[0] ** 2
         else:
             most[n] = value if limit.kind == "density" else value**2
-    return tuple(str(limit) for limit in limits), Caps(rows, spread, most, widths(f), total)
+    return _told_apart([str(limit) for limit in limits]), Caps(rows, spread, most, widths(f), total)
+
+
+def _told_apart(names: Sequence[str]) -> tuple[str, ...]:
+    """Names, those that are the same numbered."""
+    return tuple(f"{n} ({names[:k].count(n) + 1})" if names.count(n) > 1 else n for k, n in enumerate(names))
 
 
 def _same_units(given: Sequence[Channel], own: Sequence[Channel]) -> None:

@@ -18,7 +18,7 @@ from structures.errors import InputError
 
 from .. import _guards as guards
 from .._families.frequency import FrequencyInversion
-from .._guards.vibration import not_rigid
+from .._guards.vibration import misplaced, not_rigid
 from .._record import Record, Spectra, find
 from .._results.estimate import LoadEstimate
 from ..settings import ChoiceLike, Noise
@@ -78,6 +78,26 @@ class VirtualPoint:
         positions, directions = zip(*self.sensors.values(), strict=True)
         values = np.asarray(model.frf(frequencies), complex)[:, rows][:, :, columns]
         return rigid_share(values, positions, directions, self.centre, tuple(self.motions))
+
+    def contradiction(self, model: Model, frequencies: Real) -> float | None:
+        """Mean power of what its loads do as on no rigid part, as placed, over that of their noise.
+
+        About 1 for loads that stand where they are said to. None with no more loads than motions, or FRFs without a
+        variance.
+
+        Raises
+        ------
+        InputError
+            A load that the model has not.
+        """
+        T, known = self.columns(), model.frf_variance(frequencies)
+        if known is None or len(T) <= T.shape[1]:
+            return None
+        columns = [find(n, [c.label for c in model.loads], what="load", where=self.label) for n in self.loads]
+        none = np.linalg.svd(T)[0][:, T.shape[1] :]  # combinations of the loads without force and moment
+        left = np.abs(np.asarray(model.frf(frequencies), complex)[:, :, columns] @ none) ** 2
+        noise = np.asarray(known, float)[:, :, columns] @ none**2
+        return float(np.mean(left[noise > 0] / noise[noise > 0])) if np.any(noise > 0) else None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -200,7 +220,8 @@ def transfer_paths(
     Returns
     -------
     TransferPaths
-        With W119 where the sensors around a point do not move as a rigid part.
+        With W119 where the sensors around a point do not move as a rigid part, or the loads around it do not act as on
+        one at the places stated.
 
     Raises
     ------
@@ -243,7 +264,8 @@ def transfer_paths(
         transfer = validate_on(estimate, subset(driven, np.array(held)), operation)
         estimate = estimate.validated(transfer.validation)
     ranked = contributions(driven, estimate, [labels[i] for i in asked], trust=trust)
-    found = [*(transfer.flags if transfer is not None else ()), *(not_rigid(n, x, f) for n, x in rigid.items())]
+    found = [*(transfer.flags if transfer is not None else ()), *(not_rigid(n, x, f) for n, x in rigid.items()),
+             *(misplaced(p.label, p.contradiction(model, f)) for p in points)]  # fmt: skip
     return TransferPaths(estimate, transfer, ranked, rigid, guards.collect(found))
 
 

@@ -16,6 +16,8 @@ from structures._models.lines import ascending
 from structures._readonly import ReadOnly
 from structures.errors import InputError, positive, reals
 
+from ..sources._synthesis import DENSITIES, unit_of
+
 Real = NDArray[np.float64]
 OCTAVE = float(np.log10(2.0))
 TOLERANCE = 3.0  # dB to either side: MIL-STD-810H, method 514.8, for random vibration up to 1 kHz
@@ -121,6 +123,10 @@ class Profile(ReadOnly):
         found = np.exp(np.interp(inside, np.log(self.frequencies), np.log(self.levels)))
         return np.asarray(np.where(out, outside if outside is not None else 0.0, found))
 
+    def __str__(self) -> str:
+        f, x = self.frequencies, self.levels
+        return f"profile, {f[0]:g} to {f[-1]:g} Hz, {x.min():.4g} to {x.max():.4g} {self.unit}"
+
     @property
     def density(self) -> bool:
         """Whether the levels are densities."""
@@ -162,7 +168,7 @@ def is_density(unit: str) -> bool:
 
 
 def scale(unit: str) -> tuple[float, str]:
-    """Factor to SI, and the unit of the channel (``"m/s^2"``) or of its density (``"m/s^2^2/Hz"``).
+    """Factor to SI, and the unit of the channel (``"m/s^2"``) or of its density (``"(m/s^2)^2/Hz"``).
 
     Raises
     ------
@@ -175,7 +181,7 @@ def scale(unit: str) -> tuple[float, str]:
         return known.factor, known.si
     base = text.removesuffix("^2/Hz")
     known = _units.parse(base.removeprefix("(").removesuffix(")"))
-    return known.factor**2, f"{known.si}^2/Hz"
+    return known.factor**2, unit_of(known.si, DENSITIES)
 
 
 def checked_unit(profile: Profile, channel: Channel, density: bool, where: str) -> None:
@@ -186,7 +192,7 @@ def checked_unit(profile: Profile, channel: Channel, density: bool, where: str) 
     InputError
         Another unit, or an amplitude for a density.
     """
-    wanted = f"{channel.unit}^2/Hz" if density else channel.unit
+    wanted = unit_of(channel.unit, DENSITIES) if density else channel.unit
     if profile.unit != wanted and "arbitrary" not in (channel.unit, profile.unit.removesuffix("^2/Hz")):
         raise InputError("the unit of the profile is not that of the channel", where=f"{where}, {channel.label}",
                          found=profile.unit, expected=wanted,
@@ -386,12 +392,13 @@ class Limit(ReadOnly):
         factor = 1.0
         if self.unit is not None:
             factor, own = scale(self.unit)
-            if own.removesuffix("^2/Hz") != channel.unit and "arbitrary" not in (channel.unit, own):
+            wanted = unit_of(channel.unit, DENSITIES) if self.kind == "density" else channel.unit
+            if own != wanted and "arbitrary" not in (channel.unit, own.removesuffix("^2/Hz")):
                 raise InputError("the unit of the limit is not that of the channel", where=f"Limit, {self.channel}",
-                                 found=self.unit, expected=channel.unit)  # fmt: skip
+                                 found=self.unit, expected=wanted)  # fmt: skip
         return np.full(len(frequencies), factor * float(value))
 
     def __str__(self) -> str:
         value = next(x for x in (self.rms, self.density, self.amplitude) if x is not None)
-        unit = self.unit or "SI"
-        return f"{self.channel}: {self.kind} <= " + ("profile" if isinstance(value, Profile) else f"{value:g} {unit}")
+        most = str(value) if isinstance(value, Profile) else f"{value:g} {self.unit or 'SI'}"
+        return f"{self.channel}: {self.kind} <= {most}"

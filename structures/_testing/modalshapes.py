@@ -262,14 +262,22 @@ def _scale(band: FrfBand, fit: ModalFit, residual: Complex, unknowns: int) -> fl
 
 def _judged(band: FrfBand, found: Fit, residual: Complex, stated: Real | None) -> Fit:
     """The same with what it misses."""
-    noise = np.zeros(band.H.shape) if stated is None else stated**2
+    noise = np.broadcast_to(rough(residual), band.H.shape) if stated is None else stated**2
     whole = np.mean(np.abs(band.H) ** 2, axis=0)
-    beyond = np.maximum(np.mean(np.abs(residual) ** 2 - noise, axis=0), 0.0)
+    chance = CHANCE * np.sqrt(np.sum(noise**2, axis=0)) / len(noise)
+    beyond = np.maximum(np.mean(np.abs(residual) ** 2 - noise, axis=0) - chance, 0.0)
     return replace(
         found, power=float(np.sum(np.abs(residual / band.std) ** 2)),
         bias=found.bias if stated is None else excess(residual, stated),
         missed=np.sqrt(beyond / np.where(whole > 0, whole, 1.0)),
     )  # fmt: skip
+
+
+def rough(residual: Complex) -> Real:
+    """Power (outputs, references) of what changes from line to line: noise, where no test tells it."""
+    if len(residual) < 3:
+        return np.zeros(residual.shape[1:])
+    return np.asarray(np.mean(np.abs(np.diff(residual, 2, axis=0)) ** 2, axis=0) / 6, float)
 
 
 def excess(residual: Complex, std: Real) -> Real:

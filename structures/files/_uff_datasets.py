@@ -90,6 +90,8 @@ def _block(place: Place, at: int) -> tuple[Block, int]:
     number, binary = int(match[1]), bool(match[2])
     if binary:
         return _binary(place, after, number, match[3], at)
+    if match[3].strip():
+        place.refuse("no number of a data set", at, repr(text_of(line)[:40]), "a number alone, such as '    58'")
     if number != 58:
         end, beyond = _end(place, after, number)
         return Block(number, after, place.data[after:end]), beyond
@@ -205,6 +207,8 @@ FUNCTIONS = {
     6: "coherence", 7: "auto correlation", 8: "cross correlation", 9: "power spectral density",
     10: "energy spectral density", 11: "probability density", 12: "spectrum", 26: "multiple coherence",
 }  # fmt: skip
+MOST = 27  # largest type of a function that the format knows
+REAL = (TIME, 2, COHERENCE, 7, 8, 9, 10, 11, MULTIPLE_COHERENCE)  # types whose values have no phase
 _DIGITS = 4  # a step of so many digits at most is meant as it stands
 _CHANCE = 0.01  # how likely a dyadic step may fit by chance
 
@@ -274,13 +278,15 @@ def function_of(block: Block, place: Place) -> Function:
     Raises
     ------
     InputError
-        Fewer or more values than declared (it says how many of how many), or an abscissa that does not rise.
+        Fewer or more values than declared (it says how many of how many), an abscissa that does not rise, a type that
+        the format does not know, or one that has no phase and complex values.
     """
     head = block.head
     assert head is not None  # a block 58 has one
     table = _binary_values(block, head) if block.order else _text(block, head, place)
     at = 0 if head.even else 1
     values = table[:, at:].copy().view(complex)[:, 0] if head.complex else table[:, at]
+    _check_type(head, values, block, place)
     notes = list(block.notes)
     if not head.even:
         abscissa = table[:, 0]
@@ -295,6 +301,16 @@ def function_of(block: Block, place: Place) -> Function:
             notes.append(f"the step {head.step_text} is read as {step!r}: the header rounds it")
         abscissa = head.start + step * np.arange(head.count, dtype=float)
     return Function(head, abscissa, step, values, block.line, tuple(notes))
+
+
+def _check_type(head: Head, values: NDArray[Any], block: Block, place: Place) -> None:
+    if not 0 <= head.function <= MOST:
+        place.refuse("a type of function that the format does not know", block.at, head.function, f"0 to {MOST}",
+                     "it is damaged: export or transfer the file again")  # fmt: skip
+    if head.function in REAL and np.iscomplexobj(values) and np.any(values.imag):
+        place.refuse("a function without a phase has complex values", block.at,
+                     f"type {head.function}, {FUNCTIONS[head.function]}", "real values",
+                     "a spectrum or an FRF is of another type: export it again")  # fmt: skip
 
 
 def unrounded(step: float, text: str) -> float:

@@ -174,7 +174,8 @@ def numbers(body: bytes, place: Place, at: int) -> NDArray[np.float64]:
                 return np.fromiter(map(float, words), float, len(words))
             except ValueError:
                 words = _GLUED.sub(rb"\1 ", text).split()
-    wrong = next(word for word in words if not _number(word))
+    odd = text.translate(None, _NUMERALS)[:1]  # float passes over control characters that split keeps
+    wrong = next((word for word in words if not _number(word)), odd)
     near = at + max(0, text.find(wrong))
     return place.refuse("no number", near, repr(text_of(wrong)[:40]), "numbers in E format")
 

@@ -165,7 +165,8 @@ def _generic(table: Array, rest: int, where: str) -> MarkerMotions:
     numbers, k = np.unique(frame, return_inverse=True)
     ids, i = np.unique(marker, return_inverse=True)
     found = _from_array(_spread(k, i, table[:, 2:], where), rest, where)
-    return replace(found, numbers=tuple(map(int, numbers)), flags=_gaps(numbers, where), notes=(f"{len(ids)} ids",))
+    flags = (*_gaps(numbers, where), *_cut(frame))
+    return replace(found, numbers=tuple(map(int, numbers)), flags=flags, notes=(f"{len(ids)} ids",))
 
 
 def _gsrobotics(table: Array, where: str) -> MarkerMotions:
@@ -183,7 +184,17 @@ def _gsrobotics(table: Array, where: str) -> MarkerMotions:
         "dots out of view are inferred by that tracker and cannot be told from those that were seen",
     ]
     notes += [f"{int(outside.sum())} places left of or above the image are taken as lost"] if outside.any() else []
-    return MarkerMotions(points, places, None, tuple(map(int, numbers)), _gaps(numbers, where), tuple(notes))
+    flags = (*_gaps(numbers, where), *_cut(frame))
+    return MarkerMotions(points, places, None, tuple(map(int, numbers)), flags, tuple(notes))
+
+
+def _cut(frame: NDArray[np.int64]) -> tuple[Flag, ...]:
+    """W209 where every frame has as many rows and only that at the end of the file has fewer."""
+    rows = np.unique(frame, return_counts=True)[1]
+    last = int(np.sum(frame == frame[-1]))
+    if len(rows) < 3 or frame[-1] != frame.max() or len(set(rows[:-1].tolist())) > 1 or last >= rows[0]:
+        return ()
+    return (truncated(last, int(rows[0]), "rows of the last frame"),)
 
 
 def _gaps(numbers: NDArray[Any], where: str) -> tuple[Flag, ...]:

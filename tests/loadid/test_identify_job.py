@@ -388,6 +388,22 @@ def test_what_a_family_refuses_is_a_row(folder: Path) -> None:
         compare(folder / "log.csv", hit_model(), families=["gradients"])
 
 
+def test_of_noise_no_number_is_to_be_used(run: Any, tmp_path: Path, folder: Path) -> None:
+    own = read(folder / "log.csv")
+    noise = np.random.default_rng(3).standard_normal(own.values.shape)
+    text = [",".join(["time [s]", *(f"{c.label} [{c.unit}]" for c in own.channels)])]
+    text += [",".join([f"{k * own.dt:.6f}", *map("{:.6f}".format, row)]) for k, row in enumerate(noise)]
+    (tmp_path / "noise.csv").write_text("\n".join(text) + "\n")
+    few = "deconvolution,smooth"
+    code, out, _ = run("compare", tmp_path / "noise.csv", "--model", folder / "model.h5", "--families", few)
+    assert code == 1
+    assert "no load is told from noise (deconvolution)" in out
+    words = ("compare", folder / "log.csv", "--model", folder / "model.h5", "--families", few)
+    told = json.loads(run(*words, "--json")[1])
+    assert told["usable"]
+    assert {row["grade"] for row in told["families"]} <= set("ABC")
+
+
 def test_compare_writes_the_page_that_its_help_names(run, folder: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     code, _, err = run(

@@ -6,6 +6,7 @@ from scipy.signal import butter, lfilter
 
 from loadid import Record, datasets, read
 from loadid._quality import describe, health, noise_std, quiet_segment, require_finite
+from loadid._tone import tone
 from structures import Channel
 from structures.errors import InputError
 from tests.data import measured
@@ -198,6 +199,25 @@ def test_offset_is_a_note():
     assert flag.message.startswith("channel a: note: offset 0.")
     assert "m/s^2" in flag.message
     assert kinds(blow(500, offset=0.0)) == set()
+
+
+def test_hum_before_the_response_is_named():
+    t = DT * np.arange(len(blow(500)))
+    hum = 0.02 * np.sin(2 * np.pi * 50.3 * t + 1.0)
+    (flag,) = Record(blow(500, offset=0.0) + hum, DT, ["a"]).health()
+    assert flag.evidence.name == "tone"
+    assert "a tone of 50." in flag.message
+    assert "amplitude 0.02" in flag.message
+
+
+def test_correlated_noise_is_no_hum():
+    from scipy.signal import lfilter
+
+    rng, false = np.random.default_rng(5), 0
+    for phi in (0.0, 0.5, 0.9, 0.99):
+        noise = lfilter([1.0], [1.0, -phi], rng.standard_normal((300, 300)), axis=1)
+        false += sum(tone(one, DT) is not None for one in noise)
+    assert false == 0
 
 
 def test_findings_do_not_depend_on_the_unit():

@@ -139,3 +139,13 @@ def test_five_measured_hits(band, most):
 class _Hit:
     def __init__(self, values, channels):
         self.values, self.dt, self.channels = values, 1 / 25600, channels
+
+
+def test_without_a_variance_what_changes_from_line_to_line_is_noise_and_the_rest_is_not():
+    from structures._testing.modalshapes import rough
+
+    rng, f = np.random.default_rng(2), np.linspace(0.0, 1.0, 2000)[:, None, None]
+    noise = rng.standard_normal((2000, 2, 1)) + 1j * rng.standard_normal((2000, 2, 1))
+    np.testing.assert_allclose(rough(noise), 2.0, rtol=0.1)
+    np.testing.assert_allclose(rough(noise + 5.0 / (0.02 + 1j * (f - 0.5))), 2.0, rtol=0.1)
+    assert not rough(noise[:2]).any()

@@ -309,6 +309,10 @@ def test_units_that_contradict_each_other():
         ((END + f"{58:6d}\n" + head(count=0) + END).encode(), "what the format does not know"),
         ((END + f"{58:6d}\n" + head(count=10**8) + END).encode(), "truncated: 0 of 100000000 samples"),
         (block(15, "1 2 3"), "holds no nodes"),
+        (text58(1j * REAL, function=47), "line 14: a type of function that the format does not know.*found: 47"),
+        (text58(1j * REAL, function=7), "has complex values.*type 7, auto correlation"),
+        (text58(REAL).replace(b"    58\n", b"    5877777 \n"), "line 2: no number of a data set"),
+        (text58(np.zeros(7)).replace(b"0.000000000000E+00", b"0.00000000000E+00\x1f", 1), "no number"),
     ],
 )
 def test_damage_is_named(data, what):

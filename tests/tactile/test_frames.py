@@ -397,6 +397,16 @@ def test_a_marker_file_cut_at_any_byte_gives_no_wrong_place(form: str, header: s
     assert flagged > 20
 
 
+def test_a_last_frame_with_fewer_markers_than_all_others_is_said(tmp_path: Path) -> None:
+    lines = ["frame,id,x,y", *(f"{k},{i},{30 * i + k}.0,5.0" for k in range(1, 5) for i in range(4))]
+    path = tmp_path / "x.csv"
+    for left, said in ((len(lines), []), (len(lines) - 1, ["LID-W209"]), (len(lines) - 4, [])):
+        path.write_text("\n".join(lines[:left]) + "\n")
+        assert [flag.code for flag in read_motions(path).flags] == said
+    path.write_text("\n".join(lines[:7] + lines[8:-1]) + "\n")  # markers are lost in others too
+    assert not read_motions(path).flags
+
+
 def test_an_array_that_is_no_motion() -> None:
     for source, settings in ((places()[0], {}), (places(), {"rest": 6}), (np.full((2, 5, 2), np.inf), {})):
         with pytest.raises(InputError):

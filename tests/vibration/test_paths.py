@@ -94,6 +94,21 @@ def test_an_interface_that_bends_is_said() -> None:
     assert not transfer_paths(bent.model, spectra(bent), points=[foot(sensors=False)], validation=["k1"]).rigid
 
 
+@pytest.mark.parametrize("seed", [0, 21])
+def test_hits_that_stand_elsewhere_are_said(seed: int) -> None:
+    """Two millimetres, at which the bands of the moments hold a quarter of their lines."""
+    case, right = mounted.made(seed=seed), foot()
+    places = {n: ((x + (2e-3 if n in ("h1", "h3") else -2e-3), y + 2e-3, z), u)
+              for n, ((x, y, z), u) in right.loads.items()}  # fmt: skip
+    wrong = VirtualPoint("foot", places, right.sensors, motions=MOTIONS)
+    found = transfer_paths(case.model, spectra(case), points=[wrong], validation=["k1"])
+    (flag,) = (f for f in found.flags if f.code == "LID-W119")
+    assert flag.evidence.value > 10
+    assert right.contradiction(case.model, case.model.frequencies) == pytest.approx(1.0, abs=0.15)
+    bare = mounted.made(noise=0.0).model
+    assert right.contradiction(bare, bare.frequencies) is None
+
+
 def test_the_rigid_share_is_that_of_a_projection() -> None:
     rng = np.random.default_rng(0)
     places, ways = rng.standard_normal((9, 3)), np.tile(np.eye(3), (3, 1))
