@@ -107,3 +107,22 @@ def test_refusals():
         reduce(held, KEEP, 0.0)
     with pytest.raises(InputError, match="no degree of freedom is kept"):
         reduce(held, [], BAND)
+
+
+def test_families_take_the_reduced_model():
+    """Truth by the full plate, four times the modes: histories and spectra of a load through the reduced one."""
+    from loadid import Deconvolution, LoadTracker
+
+    structure = plate(loss=damping.Rayleigh(20.0, 1e-5))
+    S, B = [sensors.Accelerometer("116+Z"), sensors.Displacement("40+Z")], [loads.Point("100+Z")]
+    small = ForwardModel(reduce(structure, ["116+Z", "40+Z", "100+Z"], 400.0).structure, S, B)
+    dt, n = 5e-4, 200
+    t = dt * np.arange(n)
+    force = np.where((t > 0.01) & (t < 0.03), np.sin(np.pi * (t - 0.01) / 0.02) ** 2, 0.0)[:, None]
+    y = ForwardModel(structure, S, B, modes=150).predict(force, dt)
+    noise = 1e-3 * np.abs(y).max(axis=0)
+    y = y + noise * np.random.default_rng(0).standard_normal(y.shape)
+    found = Deconvolution(small, noise=noise).estimate(y, dt=dt)
+    assert np.linalg.norm(found.load - force) < 0.1 * np.linalg.norm(force)
+    tracked = LoadTracker(small, noise=noise).fit(y, dt=dt).smooth(y, dt)
+    assert np.linalg.norm(tracked.load - force) < 0.2 * np.linalg.norm(force)
