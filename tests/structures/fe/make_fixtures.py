@@ -83,12 +83,12 @@ def matrices():  # type: ignore[no-untyped-def]
 
 
 def output4() -> None:
-    """OUTPUT4 in three forms."""
+    """OUTPUT4 in four forms."""
     from pyyeti.nastran import op4
 
     K, M, _ = matrices()
     for name, binary, sparse, order in (("text", False, "nonbigmat", "="), ("little", True, "bigmat", "<"),
-                                        ("big", True, "dense", ">")):  # fmt: skip
+                                        ("big", True, "dense", ">"), ("short", True, "nonbigmat", "<")):  # fmt: skip
         op4.write(str(HERE / f"{name}.op4"), ["KAAX", "MAAX"], [K, M], binary=binary, sparse=sparse, endian=order)
 
 

@@ -54,7 +54,7 @@ def test_mass_and_centre_are_in_si(plate):
     assert told.centre[1:] == pytest.approx((0.025, 0.005))
 
 
-@pytest.mark.parametrize("name", ["text.op4", "little.op4", "big.op4"])
+@pytest.mark.parametrize("name", ["text.op4", "little.op4", "big.op4", "short.op4"])
 def test_output4(plate, name):
     same(read_fe(held(name, "plate.dof", "nodes.bdf"), units="mm,N"), plate)
 
@@ -282,7 +282,7 @@ def test_files_of_other_kinds_are_refused(tmp_path, name, word):
         read_fe(tmp_path / name, units="m,N")
 
 
-COUNTED = {"text.op4", "little.op4", "big.op4", "modes.op2"}  # these declare what they hold
+COUNTED = {"text.op4", "little.op4", "big.op4", "short.op4", "modes.op2"}  # these declare what they hold
 
 
 @pytest.mark.parametrize("name", sorted({*COUNTED, "plate.pch", "plate.sti", "plate.dof", "nodes.bdf", "plate.inp"}))
