@@ -128,6 +128,7 @@ def nastran() -> None:
     with_lama(HERE / "modes.op2", lam[:6])
     again = OP2(debug=False)
     again.read_op2(str(HERE / "modes.op2"), build_dataframe=False)
+    output2_matrix()
     told = next(iter(again.eigenvalues.values()))
     assert np.allclose(told.cycles, f, rtol=1e-6), told.cycles  # pyNastran reads the table as it is meant
     assert np.allclose(told.generalized_mass, 1.0)
@@ -155,6 +156,35 @@ def with_lama(path: Path, lam) -> None:  # type: ignore[no-untyped-def]
     data = path.read_bytes()
     label = data.index(struct.pack("<i", 8) + b"OUGV1   ") - 12  # the key in front of the first block
     path.write_bytes(data[:label] + table + data[label:])
+
+
+def output2_matrix() -> None:
+    """K of the plate as a matrix of an OUTPUT2 file, made word by word and read back by pyNastran."""
+    import numpy as np
+    from pyNastran.op2.op2 import OP2
+
+    def record(body: bytes) -> bytes:
+        return struct.pack("<i", len(body)) + body + struct.pack("<i", len(body))
+
+    def keys(*values: int) -> bytes:
+        return b"".join(record(struct.pack("<i", v)) for v in values)
+
+    K = matrices()[0]
+    n = len(K)
+    label = record(struct.pack("<3i", 11, 28, 26)) + keys(7) + record(b"NASTRAN FORT TAPE ID CODE - ")
+    data = keys(3) + label + keys(2) + record(b"XXXXXXXX") + keys(-1, 0)
+    data += keys(2) + record(b"KGG     ") + keys(-1, 7) + record(struct.pack("<7i", 101, n, n, 6, 2, n, 5000))
+    data += keys(-2, 1, 0, 2) + record(b"KGG     ") + keys(-3, 1, 1)
+    for j in range(n):
+        rows = np.flatnonzero(K[:, j])
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+            body = struct.pack("<i", run[0] + 1) + K[run, j].tobytes()
+            data += keys(len(body) // 4) + record(body)
+        data += keys(-4 - j, 1, int(j < n - 1))
+    (HERE / "matrix.op2").write_bytes(data + keys(0, 0))
+    told = OP2(debug=False)
+    told.read_op2(str(HERE / "matrix.op2"), build_dataframe=False, skip_undefined_matrices=False)
+    assert np.array_equal(told.matrices["KGG"].data.toarray(), K)
 
 
 if __name__ == "__main__":

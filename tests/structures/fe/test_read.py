@@ -143,6 +143,11 @@ def test_output2_modes(plate):
     agreeing(model, plate)
 
 
+def test_output2_matrices(plate):
+    model = read_fe(held("matrix.op2", "plate.dof"), units="mm,N")
+    assert np.array_equal(model.K.toarray(), plate.K.toarray())
+
+
 def test_universal_modes_of_pyuff(plate, tmp_path):
     pyuff = pytest.importorskip("pyuff")
     lam, phi = eigh(plate.K.toarray(), plate.M.toarray())
@@ -282,7 +287,7 @@ def test_files_of_other_kinds_are_refused(tmp_path, name, word):
         read_fe(tmp_path / name, units="m,N")
 
 
-COUNTED = {"text.op4", "little.op4", "big.op4", "short.op4", "modes.op2"}  # these declare what they hold
+COUNTED = {"text.op4", "little.op4", "big.op4", "short.op4", "modes.op2", "matrix.op2"}  # these declare what they hold
 
 
 @pytest.mark.parametrize("name", sorted({*COUNTED, "plate.pch", "plate.sti", "plate.dof", "nodes.bdf", "plate.inp"}))
