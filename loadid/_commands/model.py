@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from structures._advice import did_you_mean
 from structures.errors import InputError
 
-from . import Command, UsageError, emit, require_outputs
+from . import Bar, Command, UsageError, emit, require_outputs
+from ._imported import imported, is_fe
 
 if TYPE_CHECKING:
     from structures._model import Model
@@ -39,6 +40,9 @@ examples:
         --sensor accelerometer:x=0.1,y=0.2 --load point:x=0.3,y=0.1 --modes 12 -o plate.h5
     loadid model import K.mtx M.mtx --length-unit mm --sensor displacement:3+S --load point:7+S -o model.h5
     loadid model import frfs.uff -o model.h5
+  K, M and nodes of a solver, in mm, N and t, reduced to the places of sensors and loads up to 500 Hz:
+    loadid model import job_STIF2.mtx job_MASS2.mtx job.inp --units mm,N --band 500 --damping 0.01 \\
+        --sensor accelerometer:1204+Z --load point:77+Z -o model.h5
     loadid model --from model.toml -o model.h5
 
 A place is a degree of freedom of the mesh (12+Z: node 12, direction +Z) or x=..., y=... in m. Numbers are SI, or have
@@ -196,7 +200,7 @@ KEYS = {
     "bays": Key(("frame",), "N", "of the frame; default 1"),
     "storeys": Key(("frame",), "N", "of the frame; default 1"),
     "section": Key(("beam", "frame"), "SHAPE", "rectangle:WIDTH,HEIGHT, circle:DIAMETER or tube:DIAMETER,WALL"),
-    "material": Key(("beam", "plate", "frame"), "NAME", "steel, aluminium, or E=70e9,rho=2700,nu=0.33"),
+    "material": Key(KINDS, "NAME", "steel, aluminium, or E=70e9,rho=2700,nu=0.33; of an import: of its mesh"),
     "EI": Key(("beam",), "NM2", "bending stiffness in N m^2, in place of section and material"),
     "mass_per_length": Key(("beam",), "KG/M", "with --EI"),
     "tension": Key(("beam",), "N", "axial tension"),
@@ -207,6 +211,9 @@ KEYS = {
     "supports": Key(("import",), "DOF,...", "degrees of freedom that are held"),
     "length_unit": Key(("import",), "UNIT", "of the matrices; default m"),
     "force_unit": Key(("import",), "UNIT", "of the matrices; default N"),
+    "units": Key(("import",), "LENGTH,FORCE", "of the files of a finite-element program: mm,N (mass in t) or m,N"),
+    "band": Key(("import",), "HZ", "highest frequency of interest: a large finite-element model is reduced to it"),
+    "modal_mass": Key(("import",), "MASS", "of modes whose file does not state it; 1 where normalised to mass"),
     "frf_kind": Key(("import",), "KIND", "of FRFs whose file does not say it: accelerance, mobility or receptance"),
     "response_unit": Key(("import",), "UNIT", "of the responses of FRFs, where the file does not state it"),
     "reference_unit": Key(("import",), "UNIT", "of the references of FRFs, where the file does not state it"),
@@ -217,7 +224,14 @@ FRFS = {"frf_kind": "kind", "response_unit": "response_unit", "reference_unit": 
 LISTS = {"sensors": "sensor", "loads": "load"}
 
 
-def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = ()) -> Model:
+def build(
+    kind: str,
+    settings: Mapping[str, Any],
+    files: Sequence[str | Path] = (),
+    *,
+    progress: Callable[[float, str], None] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Model:
     """Model from the words of the command line or of a file.
 
     Parameters
@@ -226,7 +240,11 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
     settings : dict
         Some of `KEYS`, with ``sensors`` and ``loads``: lists of words.
     files : sequence of path
-        Of an import: matrices, or one file of FRFs.
+        Of an import: matrices, files of a finite-element program, or one file of FRFs.
+    progress : callable, optional
+        ``progress(fraction, text)``.
+    tell : callable, optional
+        Takes what an import says of the files of a finite-element program.
 
     Raises
     ------
@@ -239,7 +257,8 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
         if name in KEYS and kind not in KEYS[name].kinds:
             raise InputError(f"{name} is no setting of a model of kind {kind!r}", where=WHERE,
                              expected=", ".join(k for k, v in KEYS.items() if kind in v.kinds))  # fmt: skip
-    if kind == "import" and len(files) == 1 and _holds_frfs(files[0], settings):
+    fe = kind == "import" and is_fe(files, settings)
+    if kind == "import" and not fe and len(files) == 1 and _holds_frfs(files[0], settings):
         return _frfs(files[0], settings)
 
     from structures import ForwardModel, loads, sensors
@@ -248,9 +267,11 @@ def build(kind: str, settings: Mapping[str, Any], files: Sequence[str | Path] = 
     for name, option in LISTS.items():
         if not given[name]:
             raise InputError(f"the model has no {option}", where=WHERE, expected=f"at least one --{option}")
-    structure = _structure(kind, settings, files)
     heard = [placed(text, SENSORS, sensors, "sensor") for text in given["sensors"]]
     driven = [placed(text, LOADS, loads, "load") for text in given["loads"]]
+    if fe:
+        return _of_solver(settings, files, heard, driven, progress, tell)
+    structure = _structure(kind, settings, files)
     made: ForwardModel = ForwardModel(structure, heard, driven, modes=_whole(settings.get("modes"), "modes"))
     return made
 
@@ -274,9 +295,48 @@ def _frfs(path: str | Path, settings: Mapping[str, Any]) -> Model:
     return read_frfs(path, **{word: settings[name] for name, word in FRFS.items() if name in settings})
 
 
+def _of_solver(
+    settings: Mapping[str, Any],
+    files: Sequence[str | Path],
+    heard: list[Any],
+    driven: list[Any],
+    progress: Any,
+    tell: Any,
+) -> Model:
+    """Model of the files of a finite-element program."""
+    words = {"material": material(settings["material"])} if "material" in settings else {}
+    words |= {"damping": ratios(settings["damping"])} if "damping" in settings else {}
+    wrong = [name for name in ("length_unit", "force_unit", *FRFS) if name in settings]
+    if wrong:
+        raise InputError("no setting of the files of a finite-element program", where=WHERE, found=", ".join(wrong),
+                         expected="units, dofs, supports, damping, band, modes, material, modal_mass")  # fmt: skip
+    asked = dict(settings)
+    asked |= {name: size(settings[name], name, "Hz") for name in ("band",) if name in settings}
+    asked |= {"modes": _whole(settings.get("modes"), "modes")}
+    if "modal_mass" in settings:
+        asked["modal_mass"] = size(settings["modal_mass"], "modal_mass", "1")
+    return imported(files, asked, heard, driven, words, progress or _silent, tell or _quiet)
+
+
+def _silent(_fraction: float, _text: str) -> None:
+    """Show no progress."""
+
+
+def _quiet(_text: str) -> None:
+    """Tell nobody."""
+
+
+def ratios(value: Any) -> Any:
+    """Modal damping ratios: ``0.02``, ``"0.01,0.02"``, or a list."""
+    from structures import damping
+
+    listed = [size(r, "damping", "1") for r in (value if isinstance(value, list) else str(value).split(","))]
+    return damping.Modal(listed[0] if len(listed) == 1 else listed)
+
+
 def _structure(kind: str, settings: Mapping[str, Any], paths: Sequence[str | Path]) -> Structure:
 
-    from structures import beams, damping, files, frames, plates
+    from structures import beams, files, frames, plates
 
     words: dict[str, Any] = {}
     for name in ("length", "thickness", "width", "height", "EI", "mass_per_length", "tension"):
@@ -290,9 +350,7 @@ def _structure(kind: str, settings: Mapping[str, Any], paths: Sequence[str | Pat
         counts = [_whole(n, "elements") for n in str(settings["elements"]).strip("[]").split(",")]
         words["elements"] = counts[0] if len(counts) == 1 else tuple(counts)
     if "damping" in settings:
-        ratios = settings["damping"]
-        listed = [size(r, "damping", "1") for r in (ratios if isinstance(ratios, list) else str(ratios).split(","))]
-        words["damping"] = damping.Modal(listed[0] if len(listed) == 1 else listed)
+        words["damping"] = ratios(settings["damping"])
     if kind == "beam":
         ends = settings.get("ends", "cantilever")
         _one_of(ends, ENDS, "ends", ", ".join(ENDS))
@@ -360,9 +418,7 @@ def show(data: dict[str, Any], remarks: Sequence[str]) -> str:
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("kind", nargs="?", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument(
-        "files", nargs="*", metavar="FILE", help="of an import: K and M, or FRFs (uff, unv, csv, mat, npz)"
-    )
+    parser.add_argument("files", nargs="*", metavar="FILE", help="of an import: K and M, files of a solver, or FRFs")
     parser.add_argument("-o", "--output", required=True, metavar="MODEL.h5", help="model file to write")
     parser.add_argument("--from", dest="toml", metavar="MODEL.toml", help="settings by the names of the options; "
                         "sensors and loads are lists")  # fmt: skip
@@ -389,11 +445,15 @@ def _run(args: Namespace) -> int:
         raise UsageError(f"what is the model of? name one of {', '.join(KINDS)} (see loadid model --help)")
     settings |= {name: getattr(args, name) for name in KEYS if getattr(args, name) is not None}
     settings |= {name: getattr(args, option) for name, option in LISTS.items() if getattr(args, option)}
-    model = build(kind, settings, files)
+    said: list[str] = []
+    with Bar() as bar:
+        model = build(kind, settings, files, progress=bar, tell=said.append)
     data = describe(model)
     model.save(args.output)
     remarks = [f.command for f in model.flags if f.level != "note"]
-    emit(args, {**data, "written": args.output}, f"{show(data, remarks)}\nmodel written to {args.output}")
+    told = {"summary": "\n".join(said)} if said else {}
+    text = "\n".join([*said, show(data, remarks), f"model written to {args.output}"])
+    emit(args, {**data, **told, "written": args.output}, text)
     return 0
 
 

@@ -114,6 +114,8 @@ class Projection:
         The same norm of ``K_s^-1 S^T`` and ``K_s^-1 B``.
     rounding : array (r,)
         Relative rounding of the energy of every Ritz vector.
+    cut : float or None
+        Where all modes down to this ``theta`` lie in ``V``: what it lacks resonates beyond.
 
     Notes
     -----
@@ -133,6 +135,7 @@ class Projection:
     rest_S: Array
     rest_B: Array
     rounding: Array
+    cut: float | None = None
 
     @property
     def lam(self) -> Array:
@@ -196,6 +199,8 @@ class Projection:
         then no part of a residual.
         """
         a, c = (x[:, None] for x in self.pencil.coefficients(omega))
+        if self.cut is not None:
+            return np.asarray(1 / np.minimum(np.abs(a), np.abs(a - c * self.cut)))[:, 0]
         distance = np.linalg.norm(self.rest_M, axis=0)
         D = a - c * self.theta
         if self.C is not None:
@@ -238,8 +243,8 @@ class Images:
     ZB: Array
 
 
-def project(pencil: Pencil, images: Images) -> Projection:
-    """Galerkin projection of a pencil on the span of a basis.
+def project(pencil: Pencil, images: Images, cut: float | None = None) -> Projection:
+    """Galerkin projection of a pencil on the span of a basis; `cut` as in `Projection`.
 
     Raises
     ------
@@ -276,6 +281,7 @@ def project(pencil: Pencil, images: Images) -> Projection:
         rest_S=norms(rest(images.ZS)),
         rest_B=norms(rest(images.ZB)),
         rounding=EPS * (np.einsum("ij,ij->j", size, abs(pencil.K_s) @ size) + theta[0] / theta),
+        cut=cut,
     )
 
 

@@ -33,6 +33,8 @@ class SparseLU:
     Parameters
     ----------
     A : sparse matrix (n, n)
+    order : int array (n,), optional
+        Order of elimination, in place of one that SuperLU finds.
     options
         As `scipy.sparse.linalg.splu` takes them.
 
@@ -42,9 +44,14 @@ class SparseLU:
         If a pivot is exactly zero.
     """
 
-    def __init__(self, A: Any, **options: Any) -> None:
-        self.A, self.options = A.tocsc(), options
-        self._lu: Any = splu(self.A, **options)
+    def __init__(self, A: Any, order: Index | None = None, **options: Any) -> None:
+        self.A, self.order, self.options = A.tocsc(), order, options
+        self._lu: Any = self._factorised()
+
+    def _factorised(self) -> Any:
+        if self.order is None:
+            return splu(self.A, **self.options)
+        return splu(self.A[self.order][:, self.order].tocsc(), **{**self.options, "permc_spec": "NATURAL"})
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_lu": None}
@@ -52,8 +59,12 @@ class SparseLU:
     def solve(self, B: NDArray[Any]) -> NDArray[Any]:
         """Solution of ``A X = B``, of the shape of `B`."""
         if self._lu is None:
-            self._lu = splu(self.A, **self.options)
-        return np.asarray(self._lu.solve(B))
+            self._lu = self._factorised()
+        if self.order is None:
+            return np.asarray(self._lu.solve(B))
+        X = np.empty_like(B, dtype=np.result_type(B, self.A))
+        X[self.order] = self._lu.solve(np.ascontiguousarray(B[self.order]))
+        return X
 
 
 class Factor:
@@ -64,7 +75,8 @@ class Factor:
     K : sparse or dense matrix (n, n)
         Symmetric, finite.
     structure : Structure, optional
-        Names the free rigid-body motion when `K`, its stiffness on the free DOFs, is singular.
+        Names the free rigid-body motion when `K`, its stiffness on the free DOFs, is singular; the places of its nodes
+        order the elimination of a large one.
     check : bool
         Check symmetry and singularity (a sweep over many lines checks once and trusts the rest).
 
@@ -95,7 +107,7 @@ class Factor:
             _check(self.K)
         try:
             symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-            lu = SparseLU(self.K, **symmetric)
+            lu = SparseLU(self.K, None if structure is None else structure.elimination, **symmetric)
         except RuntimeError:  # an exactly zero pivot
             lu = None
         if lu is None or (check and not np.iscomplexobj(self.K)):

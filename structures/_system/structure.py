@@ -18,6 +18,7 @@ from .._readonly import ReadOnly
 from ..errors import InputError, finite, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
+from .dissection import order_of
 from .fields import field_of, one_place
 
 if TYPE_CHECKING:
@@ -175,6 +176,11 @@ class Structure(ReadOnly):
     def free(self) -> NDArray[np.intp]:
         """Rows of the DOFs that are not supported, ascending."""
         return np.setdiff1d(np.arange(self.n), self.supported)
+
+    @cached_property
+    def elimination(self) -> NDArray[np.intp] | None:
+        """Order in which the free DOFs of a large structure are eliminated; None where the solver finds one."""
+        return order_of(self)
 
     # -- matrices of the free DOFs --------------------------------------------------------------------------------
     def _on_free(self, matrix: sparse.csr_array) -> sparse.csr_array:

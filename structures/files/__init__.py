@@ -1,5 +1,7 @@
 """Structures from files: K, M and C in npz, Matrix Market and HDF5, with a plain DOF table; and back. FRFs too.
 
+Finite-element models of Nastran, Abaqus, Ansys and CalculiX: `read_fe`.
+
 The readers of logs stand on some of these modules: nothing of scipy is loaded before a matrix is read.
 """
 
@@ -11,10 +13,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ._frfs import read_frfs
     from ._matrices import load, save
+    from .fe._model import FeModel
+    from .fe._read import read_fe
 
-__all__ = ["load", "read_frfs", "save"]
+__all__ = ["FeModel", "load", "read_fe", "read_frfs", "save"]
 
-_PLACES = {"load": "_matrices", "read_frfs": "_frfs", "save": "_matrices"}
+_PLACES = {
+    "FeModel": "fe._model", "load": "_matrices", "read_fe": "fe._read", "read_frfs": "_frfs", "save": "_matrices",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

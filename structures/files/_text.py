@@ -75,14 +75,14 @@ def _dof(words: Sequence[str], where: str, line: str) -> tuple[Dof, Sequence[str
         if not words[0].isdigit():
             return Dof.parse(words[0]), words[1:]
         code: int | str = int(words[1]) if re.fullmatch(r"[+-]?\d", words[1]) else words[1].upper()
-        return Dof(int(words[0]), _code(code)), words[2:]
+        return Dof(int(words[0]), code_of(code)), words[2:]
     except (InputError, IndexError):
         _refuse(
             "no line of a DOF table", where, repr(line[:60]), "node, direction[, x, y, z], such as 12, +Z, 0.1, 0.2"
         )
 
 
-def _code(code: int | str) -> Any:
+def code_of(code: int | str) -> Any:
     """Direction of ``UZ``, ``ROTX`` and ``DX`` too, as solvers write them."""
     if isinstance(code, str):
         match = re.fullmatch(r"([+-]?)(?:U|D|ROT)?(R?[XYZ]|XY|S)([+-]?)", code)
@@ -156,7 +156,7 @@ def _entry(row: Any) -> Dof:
     if isinstance(row, tuple):
         node, code = (_text(x) for x in row)
         if isinstance(code, str) and not re.fullmatch(r"[+-]?\d", code):
-            return Dof(_whole(node), _code(code.upper()))
+            return Dof(_whole(node), code_of(code.upper()))
         return Dof(_whole(node), _whole(code))
     return Dof.parse(_text(row))
 

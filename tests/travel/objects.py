@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,7 @@ from structures import (
     beams,
     cross_spectra,
     damping,
+    files,
     frames,
     identify_modes,
     loads,
@@ -486,6 +488,12 @@ def aimed() -> vibration.Target:
     return vibration.Target(field.frequencies, field.autospectra, field.channels)
 
 
+def imported() -> files.FeModel:
+    """A plate of CalculiX."""
+    folder = Path(__file__).parents[1] / "structures" / "fe" / "fixtures"
+    return files.read_fe([folder / f"plate{suffix}" for suffix in (".sti", ".mas", ".inp")], units="mm, N")
+
+
 @cache
 def tested() -> MeasuredModes:
     """Modes of a beam, from FRFs on 61 lines."""
@@ -522,6 +530,7 @@ add("model/other unknowns", lambda: mapped(p.chain.__wrapped__(p.TWO), np.array(
     partial(model_says, history=False))  # fmt: skip
 add("modes", tested)
 add("model/modal", lambda: tested().model(), partial(model_says, still=False))
+add("model/imported", imported, lambda m: bits((m.K, m.M, m.places, m.structure().digest)))
 add("model/perturbed", lambda: bent().perturbed("stiffness", 1.1), model_says)
 add("structure", sheet, lambda s: bits((s.K_free, s.M_free, s.dofs, s.digest)))
 add("structure/riser", lambda: beams.riser(length=100.0, EI=1e6, mass_per_length=100.0, top_tension=2e5, elements=8),

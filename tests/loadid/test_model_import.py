@@ -1,0 +1,102 @@
+"""``loadid model import`` of the files of a solver: told, reduced, and a load identified with what it writes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loadid import Deconvolution, cli
+from structures import ForwardModel, damping, loads, sensors
+from structures.files import _modelfile, read_fe
+
+FIXTURES = Path(__file__).parents[1] / "structures" / "fe" / "fixtures"
+FILES = [str(FIXTURES / name) for name in ("plate.sti", "plate.mas", "plate.inp")]
+PLACES = ["--sensor", "accelerometer:123+Z", "--sensor", "displacement:33+Z", "--load", "point:63+Z"]
+
+
+def run(capsys, *words):
+    code = cli.main(["model", "import", *map(str, words)])
+    return code, capsys.readouterr()
+
+
+def test_the_summary_is_told_and_the_model_written(capsys, tmp_path):
+    out = tmp_path / "m.h5"
+    code, said = run(capsys, *FILES, "--units", "mm,N", "--damping", "0.01", *PLACES, "-o", out)
+    assert code == 0
+    for word in ("mass 0.2617 kg", "rigid-body modes: 0", "2675, 4423, 4530", "model written to"):
+        assert word in said.out
+    hz = np.loadtxt(FIXTURES / "frequencies.txt")
+    assert _modelfile.load(out).natural_frequencies[:4] == pytest.approx(hz, rel=1e-6)
+
+
+def test_a_band_reduces_it(capsys, tmp_path):
+    out = tmp_path / "m.h5"
+    code, said = run(
+        capsys, *FILES, "--units", "mm,N", "--damping", "0.01", "--band", "1500", *PLACES, "-o", out, "--json"
+    )
+    assert code == 0
+    assert "reduced to 3 DOFs" in json.loads(said.out)["summary"]
+    small = _modelfile.load(out)
+    assert small.structure.n < 24
+    whole = ForwardModel(
+        read_fe(FILES, units="mm,N").structure(damping=damping.Modal(0.01)),
+        [sensors.Accelerometer("123+Z"), sensors.Displacement("33+Z")], [loads.Point("63+Z")],
+    )  # fmt: skip
+    f = np.linspace(50.0, 1450.0, 30)
+    H = whole.frf(f)
+    assert np.linalg.norm(small.frf(f) - H) < 1e-2 * np.linalg.norm(H)
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    ([], "units of the files are not stated"),
+    (["--units", "mm"], "no units of a model"),
+    (["--units", "mm,N", "--length-unit", "mm"], "no setting of the files"),
+    (["--units", "mm,N", "--supports", "999+X"], "a support that no row has"),
+])  # fmt: skip
+def test_refusals_leave_no_file(capsys, tmp_path, words, told):
+    out = tmp_path / "m.h5"
+    code, said = run(capsys, *FILES, *words, *PLACES, "-o", out)
+    assert code == 3
+    assert told in said.err
+    assert not out.exists()
+
+
+def test_modes_become_a_model(capsys, tmp_path):
+    out = tmp_path / "m.h5"
+    files = [FIXTURES / "modes.op2", FIXTURES / "nodes.bdf"]
+    code, _ = run(capsys, *files, "--units", "mm,N", "--damping", "0.01", *PLACES, "-o", out)
+    assert code == 0
+    assert _modelfile.load_any(out).natural_frequencies[0] == pytest.approx(2674.5, rel=1e-4)
+
+
+@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+def test_a_load_is_identified_with_an_imported_model(tmp_path):
+    """Truth: CalculiX integrates the same plate under a half sine in time; the model is what its files tell."""
+    from tests.structures.fe import make_fixtures
+
+    step, count, peak, width = 5e-6, 160, 100.0, 4e-4
+    t = step * np.arange(count + 1)
+    force = np.where(t < width, peak * np.sin(np.pi * t / width), 0.0)
+    amplitude = "\n".join(f"{a:.8g},{v:.10g}" for a, v in zip(t, force, strict=True))
+    deck = make_fixtures.deck(
+        f"*DYNAMIC,DIRECT,ALPHA=0\n{step:g},{step * count:g}\n*CLOAD,AMPLITUDE=A\n63,3,1.0\n"
+        "*NODE PRINT,NSET=OUT,FREQUENCY=1\nU"
+    ).replace("*STEP\n", f"*NSET,NSET=OUT\n123,33\n*AMPLITUDE,NAME=A\n{amplitude}\n*STEP,INC=1000\n")
+    (tmp_path / "run.inp").write_text(deck)
+    subprocess.run(["ccx", "run"], cwd=tmp_path, check=True, stdout=subprocess.DEVNULL, timeout=60)
+    rows = [line.split() for line in (tmp_path / "run.dat").read_text().splitlines()]
+    moved = {n: [float(r[3]) * 1e-3 for r in rows if len(r) == 4 and r[0] == str(n)] for n in (123, 33)}
+    y = np.vstack([np.zeros(2), np.column_stack([moved[123], moved[33]])])[: count + 1]
+    model = ForwardModel(
+        read_fe(FILES, units="mm,N").structure(), [sensors.Displacement("123+Z"), sensors.Displacement("33+Z")],
+        [loads.Point("63+Z")],
+    )  # fmt: skip
+    simulated = model.predict(force[:, None], step)
+    assert np.linalg.norm(simulated - y) < 0.02 * np.linalg.norm(y)
+    found = Deconvolution(model, noise=1e-3 * np.abs(y).max()).estimate(y, dt=step)
+    assert np.linalg.norm(found.load[:, 0] - force) < 0.1 * np.linalg.norm(force)
