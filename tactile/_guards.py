@@ -445,7 +445,7 @@ def unpressed(force: Array, covariance: Array) -> Flag | None:
     )  # fmt: skip
 
 
-UNLIKE = 1.7  # rms of readings over what is expected of them; rings on a coarse mesh reach 1.5
+UNLIKE = 1.6  # rms of readings over what is expected of them; rings on a coarse mesh reach 1.5
 SURE = 6.0  # std of that rms
 
 

@@ -53,6 +53,13 @@ class ForceFacts(Facts):
     image_std: tuple[float, ...] | tuple[tuple[float, ...], ...] | None = fact()
 
 
+def curved_normals(places: Array, cells: Index | None) -> Array | None:
+    """Outward unit normals of a curved surface at its nodes (P, 3); None of a flat one, whose normal is Z."""
+    if cells is None or np.ptp(places[:, 2]) <= LEVEL * np.ptp(places[:, 0]):
+        return None
+    return at_nodes(places, cells)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForceMap(LoadEstimate):
     """A contact force field on the surface of a pad, with its uncertainty.
@@ -161,10 +168,7 @@ class ForceMap(LoadEstimate):
     @cached_property
     def normals(self) -> Array | None:
         """Outward unit normals of a curved surface at its nodes (P, 3); None of a flat one, whose normal is Z."""
-        places = self.nodes
-        if self.cells is None or np.ptp(places[:, 2]) <= LEVEL * np.ptp(places[:, 0]):
-            return None
-        return at_nodes(places, self.cells)
+        return curved_normals(self.nodes, self.cells)
 
     def pressure_std(self) -> Array:
         """Std of the pressure at the nodes (..., P) in Pa; of nodal forces over the areas of their nodes."""

@@ -18,6 +18,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from loadid._families.static import StaticInversion
 from loadid._inverse.choice import Choice
@@ -162,7 +163,8 @@ class QuickMap:
     a cell, `markers` (N, 2), whose readings come first, `axes` for each; `reach` is the radius of the press whose
     recovery is told, `about` the middle of the surface (3,); all in m. `problem` is that of a contact prior, with the
     `choice` that was made on the frame itself, where lambda is not fixed; `contacts` fits loads about those of a frame,
-    and `normal` says whether normal motion is read.
+    `normal` says whether normal motion is read, `normals` (n / 3, 3) are those of a curved surface; lambda is `scale`
+    times that of the calibration.
     """
 
     family: StaticInversion
@@ -178,6 +180,8 @@ class QuickMap:
     choice: Choice | None = None
     contacts: ContactFit | None = None
     normal: bool = True
+    normals: Array | None = None
+    scale: float = 1.0
     _solver: RegionSolver | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -194,6 +198,11 @@ class QuickMap:
         """Map of readings (m,), NaN where one is lost; by the product alone where it must be `quick`."""
         band = self.inverse.band
         return self._plain(y, wrench) if band is None else self._under_prior(y, wrench, band, quick)
+
+    def told(self, y: Array) -> Array:
+        """Readings (m,), NaN where lost, over the noise that they show, without strays: (m,), lost ones as foretold."""
+        kept, _, misfit = self.consistency.checked(y)
+        return self.inverse.filled(kept)[0] / max(1.0, misfit)
 
     def _plain(self, y: Array, wrench: Wrench | None) -> FrameAnswer:
         """Under a penalty that knows of no contact."""
@@ -244,7 +253,7 @@ class QuickMap:
             if found is None:
                 load = band.corrected(load, force)
             else:
-                found = self.pressed(steady, held(force, asked, self.contact.friction), answer)
+                found = self.pressed(steady, held(force, asked, self.contact.friction, self._along(load)), answer)
                 load = found.load
                 apart = inverse.resultant @ load - force
                 covariance = covariance + np.outer(apart, apart)
@@ -276,7 +285,7 @@ class QuickMap:
         found = None
         if self.contact.constrains:
             z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
-            found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction)
+            found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction, self.normals)
         load = about.load if found is None else found.load
         flags = [guards.unseen(self.recovery)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
@@ -320,23 +329,38 @@ class QuickMap:
         rule = "given" if family.calibration is None else family.calibration.rule
         if self.problem is None:
             return prepare(family, self.resultant, float(lam), rule)
-        return self.problem.inverse(float(lam), rule)
+        return self.problem.inverse(self.scale * float(lam), rule)
 
     def pressed(self, y: Array, wrench: Wrench | None = None, answer: Answer | None = None) -> Pressed:
         """The map that only presses, where the unconstrained answer does; not for penalties that couple loads."""
         if wrench is not None:
-            carried(wrench, self.contact.friction)
+            carried(wrench, self.contact.friction, self.normals)
         if answer is None:
             y = self._steadied(y)[0]
             answer = self.inverse(y)
+        z = y / self.inverse.noise
+        if self.problem is not None:  # what the model errs by is noise to loads that are held, as to those that are not
+            z = solve_triangular(self._erring, self.inverse.filled(y)[0], lower=True)
         if self.inverse.band is not None and wrench is None:
             touched = self.inverse.band.loaded(answer.load)
-            return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
-        pressure, spread = -answer.load[2::3], answer.std[2::3]
+            return self._region.solve(z, touched, wrench, answer)
+        pressure, spread = self._pressure(answer.load), answer.std[2::3]
         touched = pressure > TOUCH * pressure.max()
         if wrench is None:
             touched &= pressure > CLEAR * spread
-        return self._region.solve(y / self.inverse.noise, touched, wrench, answer)
+        return self._region.solve(z, touched, wrench, answer)
+
+    def _pressure(self, load: Array) -> Array:
+        """Pressure (n / 3,) of a load (n,), along the normals of its nodes."""
+        return -load[2::3] if self.normals is None else -np.sum(load.reshape(-1, 3) * self.normals, axis=1)
+
+    def _along(self, load: Array) -> Array | None:
+        """Normal (3,) of a curved surface about a load (n,): that of its nodes, by their pressures."""
+        if self.normals is None:
+            return None
+        mean = np.maximum(self._pressure(load), 0.0) @ self.normals
+        size = float(np.linalg.norm(mean))
+        return mean / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
     def _blind(self, resultant: Array) -> Array:
         """Variance of a normal force that the readings hardly see: as large as what they may hide."""
@@ -345,6 +369,12 @@ class QuickMap:
             out[2, 2] = (resultant[2] * (1 / max(self.recovery, 1e-3) - 1)) ** 2
         return out
 
+    @cached_property
+    def _erring(self) -> Array:
+        """Lower factor (m, m) of the covariance of whitened readings by noise and the errors of the model."""
+        assert self.problem is not None
+        return self.problem.erring(self.inverse.lam * self.inverse.scale)
+
     @property
     def _region(self) -> RegionSolver:
         if self._solver is None:
@@ -352,7 +382,8 @@ class QuickMap:
             if problem is not None:
                 weights = partial(problem.weights, inverse.lam * inverse.scale)
                 self._solver = RegionSolver(
-                    problem.whitened, weights, inverse.resultant, self.neighbours, self.contact.friction,
+                    solve_triangular(self._erring, problem.whitened, lower=True), weights, inverse.resultant,
+                    self.neighbours, self.contact.friction, self.normals,
                 )  # fmt: skip
                 return self._solver
             if self.family.L is not None:
@@ -363,7 +394,8 @@ class QuickMap:
                 )  # fmt: skip
             prior = np.full(inverse.shape[0], inverse.lam * inverse.scale)
             H = self.family.H[: inverse.shape[1]] / inverse.noise[:, None]  # markers first, depth after them
-            self._solver = RegionSolver(H, prior, inverse.resultant, self.neighbours, self.contact.friction)
+            R, friction = inverse.resultant, self.contact.friction
+            self._solver = RegionSolver(H, prior, R, self.neighbours, friction, self.normals)
         return self._solver
 
     def _press(self) -> Array:

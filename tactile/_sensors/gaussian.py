@@ -252,6 +252,11 @@ class GaussianProblem:
             made = made + self.prior.times(change) @ change.T
         return HC, K, (made + made.T) / 2
 
+    @property
+    def covariance(self) -> Array:
+        """Of readings over their noise (m, m), by loads of unit prior variance and the errors of the model."""
+        return self._spread[2]
+
     @cached_property
     def scale(self) -> float:
         """Largest singular value of the whitened operator of all that a load and its errors make: lambda's unit."""
@@ -271,6 +276,11 @@ class GaussianProblem:
             MatrixModel(roots, sensors=list(self.sensors), loads=loads), penalty="identity", choice=choice,
             noise=Noise(source=source), allow=list(allow),
         )  # fmt: skip
+
+    def erring(self, x: float) -> Array:
+        """Lower factor (m, m) of the covariance of whitened readings by noise and model, for loads of a size 1 / x."""
+        _, K, made = self._spread
+        return np.asarray(np.linalg.cholesky(np.eye(len(K)) + (made - K) / x**2))
 
     def weights(self, x: float, nodes: Index) -> Array:
         """L (3 k, 3 k) of the tractions at some nodes, times an absolute lambda."""

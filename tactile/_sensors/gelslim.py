@@ -26,7 +26,7 @@ from .. import _guards as guards
 from .._arrays import Array, Index, Mask, settled_depth
 from .._closed.contact import Indenter
 from .._pad.stiffness import Completion, surface_stiffness
-from .._results.forcemap import ForceFacts, ForceMap
+from .._results.forcemap import ForceFacts, ForceMap, curved_normals
 from ..vision._interpolation import Interpolation
 from .fixed import CLEAR, TOUCH, whole_motion
 from .inversion import Answer, RegionSolver, fused
@@ -259,7 +259,8 @@ class GelSlim(MarkedSensor):
             n = 3 * self.pad.points
             prior = np.full(n, 1e-6 * float(np.linalg.norm(self.pad.compliance, ord=1)) / spread)
             H, resultant = self.pad.compliance / spread, self.geometry["resultant"]
-            self._solver = RegionSolver(H, prior, resultant, order, self.contact.friction)
+            normals = curved_normals(self.geometry["coordinates"], self.geometry["cells"])
+            self._solver = RegionSolver(H, prior, resultant, order, self.contact.friction, normals)
         pressure, std = -answer.load[2::3], answer.std[2::3]
         touched = (pressure > TOUCH * pressure.max()) & (pressure > CLEAR * std) & self._may
         found = self._solver.solve(completion.displacements(U) / spread, touched, wrench, answer)

@@ -22,7 +22,7 @@ from loadid._inverse.constrained import activeset
 from loadid._inverse.constrained.activeset import ActivePoint
 from loadid._inverse.constrained.feasible import Feasible, compile_
 from loadid._inverse.constrained.quadratic import Quadratic, gram_of
-from loadid.constraints import Constraint, FrictionCone, NonNegative, Resultant
+from loadid.constraints import Constraint, FrictionCone, NonNegative, Resultant, frames
 from structures._readonly import ReadOnly
 from structures._system.factor import compliance
 from structures.errors import InputError
@@ -152,13 +152,17 @@ def met(force: Array, covariance: Array, wrench: Wrench) -> tuple[Array, Array]:
     return force + gain @ (value - force[:k]), covariance - gain @ covariance[:k]
 
 
-def held(force: Array, wrench: Wrench, friction: float | None) -> Wrench:
-    """What a contact that only presses is asked to carry exactly: the resultant (6,), or the nearest that it can."""
-    f = np.array(force[:3])
-    f[2] = min(f[2], 0.0)
-    shear, most = float(np.hypot(*f[:2])), np.inf if friction is None else -CARRIED * friction * f[2]
-    f[:2] *= min(1.0, most / shear) if shear > 0 else 1.0
-    return Wrench(f, None if wrench.torque is None else np.array(force[3:]))
+def held(force: Array, wrench: Wrench, friction: float | None, normal: Array | None = None) -> Wrench:
+    """What a contact that only presses is asked to carry exactly: the resultant (6,), or the nearest that it can.
+
+    `normal` (3,) is that of the surface about the contact; Z of a flat one.
+    """
+    n = np.array([0.0, 0.0, 1.0]) if normal is None else normal
+    pull = min(float(force[:3] @ n), 0.0)
+    along = force[:3] - (force[:3] @ n) * n
+    shear, most = float(np.linalg.norm(along)), np.inf if friction is None else -CARRIED * friction * pull
+    along = along * (min(1.0, most / shear) if shear > 0 else 1.0)
+    return Wrench(along + pull * n, None if wrench.torque is None else np.array(force[3:]))
 
 
 def _gain(S: Array, P: Array) -> Array:
@@ -193,7 +197,21 @@ def prepare(family: StaticInversion, resultant: Array, lam: float, rule: str = "
 
 
 GROWTH = 1.6  # how much larger than needed a region may be before it is cut
-FLIP = np.array([1.0, 1.0, -1.0])  # pressures are unknowns, not normal tractions
+FLAT = np.diag([1.0, 1.0, -1.0])  # pressures are unknowns, not normal tractions
+
+
+def pressing(normals: Array | None, count: int) -> Array:
+    """Frames (count, 3, 3) of tractions at nodes: two shears and the pressure, as columns; `normals` as `constraints`.
+
+    Of a flat surface, whose normals are None, shears along X and Y and a pressure along -Z.
+    """
+    return np.tile(FLAT, (count, 1, 1)) if normals is None else frames(-normals)
+
+
+def turned(columns: Array, frames: Array) -> Array:
+    """Columns (m, 3 k) for tractions along X, Y, Z as those for tractions in frames (k, 3, 3)."""
+    apart = columns.reshape(len(columns), -1, 1, 3)
+    return np.asarray((apart @ frames).reshape(columns.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,14 +226,23 @@ class Pressed:
     touched: bool = True
 
 
-def carried(wrench: Wrench, friction: float | None) -> None:
-    """Refuse an exact resultant that pulls, or shears more than this friction allows a contact that only presses."""
-    pull, shear = float(wrench.force[2]), float(np.hypot(*wrench.force[:2]))
-    if wrench.std is None and (pull > 0 or (friction is not None and shear > -friction * pull)):
+def carried(wrench: Wrench, friction: float | None, normals: Array | None = None) -> None:
+    """Refuse an exact resultant that pulls, or shears more than this friction allows a contact that only presses.
+
+    On a curved surface, of outward `normals` (P, 3), wherever that contact may be.
+    """
+    n = np.array([[0.0, 0.0, 1.0]]) if normals is None else normals
+    pulls = n @ wrench.force
+    shears = np.linalg.norm(wrench.force - pulls[:, None] * n, axis=1)
+    allowed = pulls <= 0 if friction is None else shears <= -friction * pulls
+    if wrench.std is None and not allowed.any():
+        best = int(np.argmin(pulls))
+        pull, shear = float(pulls[best]), float(shears[best])
         raise InputError(
             "the force sensor says what this contact cannot carry", where="wrench",
-            found=f"shear {shear:.4g} N, Fz {pull:.4g} N",
-            expected="Fz <= 0" + ("" if friction is None else f", shear at most {friction:g} times the pressing force"),
+            found=f"shear {shear:.4g} N, {'Fz' if normals is None else 'along the normal'} {pull:.4g} N",
+            expected=("Fz <= 0" if normals is None else "a press")
+            + ("" if friction is None else f", shear at most {friction:g} times the pressing force"),
             hint="state the std of the force sensor (Wrench(..., std=)), or another friction",
         )  # fmt: skip
 
@@ -226,17 +253,27 @@ class _Region:
     def __init__(self, owner: RegionSolver, nodes: Index, lost: Index) -> None:
         self.nodes, self.lost = nodes, lost
         self.columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-        self.flip = np.tile(FLIP, len(nodes))
-        H = owner.H[:, self.columns].astype(float) * self.flip
+        self.frames = owner.frames[nodes]
+        H = turned(owner.H[:, self.columns].astype(float), self.frames)
         H[lost] = 0.0
         # few unknowns, many readings: a QR leaves a square problem for all frames on this region
         penalty = owner.penalty(nodes) if callable(owner.penalty) else np.diag(owner.penalty[self.columns])
+        penalty = turned(penalty, self.frames)
         self.Q, self.A = qr(np.vstack([H, penalty]), mode="economic", check_finite=False)
         self.Q = np.asfortranarray(self.Q[: len(H)])
         self.gram = gram_of(self.A)
-        self.R = owner.resultant[:, self.columns] * self.flip
+        self.whole = owner.resultant[:, self.columns]
+        self.R = turned(self.whole, self.frames)
         self._spread: Answer | None = None
         self._free: tuple[Quadratic, Feasible] | None = None
+
+    def along(self, local: Array) -> Array:
+        """Tractions (3 k, ...) along X, Y, Z of those in the frames of their nodes."""
+        return np.asarray((self.frames @ local.reshape(len(self.nodes), 3, -1)).reshape(local.shape))
+
+    def within(self, load: Array) -> Array:
+        """Tractions (3 k,) in the frames of their nodes of those along X, Y, Z."""
+        return np.asarray((load.reshape(-1, 1, 3) @ self.frames).ravel())
 
     def problem(self, mu: float | None) -> tuple[Quadratic, Feasible]:
         """Objective and feasible set where no resultant is given; prepared once."""
@@ -256,25 +293,27 @@ class _Region:
     def spread(self, wrench: Wrench | None) -> Answer:
         """Std of the load on the region without constraints, covariance of its resultant, conditioned on a wrench."""
         if self._spread is None:
-            C = compliance(np.asfortranarray(self.gram.copy()))
-            reach = C @ self.R.T
-            self._spread = Answer(np.zeros(len(C)), np.sqrt(np.diag(C)), self.R @ reach, reach)
-        return self._spread if wrench is None else fused(self._spread, self.R, wrench)
+            C, k = compliance(np.asfortranarray(self.gram.copy())), np.arange(len(self.nodes))
+            reach, own = C @ self.R.T, C.reshape(len(k), 3, len(k), 3)[k, :, k, :]
+            std = np.sqrt(np.einsum("kij,kjl,kil->ki", self.frames, own, self.frames).ravel())
+            self._spread = Answer(np.zeros(len(C)), std, self.R @ reach, self.along(reach))
+        return self._spread if wrench is None else fused(self._spread, self.whole, wrench)
 
 
 class RegionSolver:
     """Constrained maps on the region of contact; a friction of None only forbids pulling.
 
     From the whitened transfer matrix H (m, n), the penalty, absolute lambda included (its weight of each load (n,), or
-    a function that gives L of some nodes), the resultants (6, n) of unit loads, and which nodes share a cell, sparse
-    (P, P).
+    a function that gives L of some nodes), the resultants (6, n) of unit loads, which nodes share a cell, sparse (P,
+    P), and outward normals (P, 3) of a curved surface.
     """
 
     def __init__(
         self, H: Array, penalty: Array | Callable[[Index], Array], resultant: Array, neighbours: Any,
-        friction: float | None = None,
+        friction: float | None = None, normals: Array | None = None,
     ) -> None:  # fmt: skip
         self.H, self.penalty, self.resultant = np.asfortranarray(H), penalty, resultant
+        self.frames = pressing(normals, H.shape[1] // 3)
         self.neighbours, self.friction = neighbours.tocsr().astype(bool), friction
         self._state: tuple[_Region | None, ActivePoint | None] = None, None  # of the last frame: one value, for threads
 
@@ -294,7 +333,7 @@ class RegionSolver:
         self._state = region, point
         load, std = np.zeros(n), np.zeros(n)
         spread = region.spread(wrench)
-        load[region.columns], std[region.columns] = point.h * region.flip, spread.std
+        load[region.columns], std[region.columns] = region.along(point.h), spread.std
         return Pressed(load, std, spread.wrench, point.steps, point.converged)
 
     def _grown(self, mask: Mask) -> Mask:
@@ -314,9 +353,9 @@ class RegionSolver:
     def _moved(self, last: _Region, point: ActivePoint, region: _Region) -> ActivePoint:
         """The last answer on the nodes of a new region."""
         whole = np.zeros(self.H.shape[1])
-        whole[last.columns] = point.h
+        whole[last.columns] = last.along(point.h)
         start = activeset.origin(region.feasible(self.friction, None))
-        return replace(start, h=whole[region.columns])
+        return replace(start, h=region.within(whole[region.columns]))
 
     def _solve(self, region: _Region, z: Array, wrench: Wrench | None, start: ActivePoint | None) -> ActivePoint:
         b = region.Q.T @ z

@@ -24,7 +24,8 @@ from structures.errors import InputError
 from .. import _guards as guards
 from .._arrays import Array, Mask
 from .._pad.tolerances import Tolerances
-from .._results.forcemap import ForceFacts, ForceMap
+from .._results.forcemap import ForceFacts, ForceMap, curved_normals
+from .discs import keep
 from .errors import errors
 from .fixed import QuickMap, whole_motion
 from .gaussian import Errors, GaussianProblem, ModelError, around
@@ -50,6 +51,7 @@ from .posing import (
     together,
 )
 from .prior import ContactPrior
+from .strength import STEP, PressStrength
 
 if TYPE_CHECKING:
     from loadid._families.frozen import Calibration
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
     from ..vision._eye import Eye
 
 
+SCALED = 6  # maps at other lambdas that are kept
 AROUND = 0.2  # thicknesses about a node within which a load is taken to be of one size
 
 
@@ -146,6 +149,9 @@ class LinearSensor(MarkedSensor):
             self.problem = self._posed(self.prior, image, partial(body.errors, whole, parts))
             self.family = self.problem.family(choice, noise_source, allow)
         self._quick: dict[bool, QuickMap] = {}
+        self._scaled: dict[int, QuickMap] = {}
+        self._before: list[Array] = []  # readings of the calibration, where they are whole
+        self._strength: PressStrength | None = None
         self._fits: dict[bool, ContactFit] = {}
 
     def __repr__(self) -> str:
@@ -182,7 +188,8 @@ class LinearSensor(MarkedSensor):
         -------
         ForceMap
             With lambda frozen (`calibrate`, or ``choice`` a number) one product, or a warm-started solver under
-            constraints; else lambda is chosen on this frame and everything is diagnosed.
+            constraints; else lambda is chosen on this frame and everything is diagnosed. Under a contact prior the
+            lambda of a calibration is scaled to the size of each press by its evidence; a number is kept.
 
         Notes
         -----
@@ -198,7 +205,7 @@ class LinearSensor(MarkedSensor):
         """
         y, flags = self._of_frame(found, depth, wrench)
         if self.frozen:
-            return self._mapped(self._quick_map(self._deep(y)), y, wrench, flags)
+            return self._mapped(self._scaled_map(y), y, wrench, flags)
         return self._thorough(y, wrench, flags) if self.problem is None else self._chosen(y, wrench, flags)
 
     def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
@@ -268,7 +275,8 @@ class LinearSensor(MarkedSensor):
             self.family.calibration, self.family.choice = before
             raise
         self.family.calibration = told
-        self._quick = {}
+        self._quick, self._scaled, self._strength = {}, {}, None
+        self._before = found if whole else []
         self.__dict__.pop("_provenance", None)
         return self.family.calibration
 
@@ -352,7 +360,21 @@ class LinearSensor(MarkedSensor):
             self._quick[with_depth] = self._new_map(with_depth)
         return self._quick[with_depth]
 
-    def _new_map(self, with_depth: bool, choice: Choice | None = None) -> QuickMap:
+    def _scaled_map(self, y: Array) -> QuickMap:
+        """The map of readings (m,) at the lambda of the calibration, scaled to the size of their press."""
+        usual = self._quick_map(self._deep(y))
+        if self.problem is None or not self._before or not self._deep(y):
+            return usual
+        if self._strength is None:
+            self._strength = PressStrength.of(self.problem.covariance, [usual.told(v) for v in self._before])
+        steps = self._strength.steps(usual.told(self._steady(y)))
+        if steps == 0:
+            return usual
+        if steps not in self._scaled:
+            keep(self._scaled, steps, self._new_map(with_depth=True, scale=STEP**steps), SCALED)
+        return self._scaled[steps]
+
+    def _new_map(self, with_depth: bool, choice: Choice | None = None, scale: float = 1.0) -> QuickMap:
         nodes, places = self.kept[::3] // 3, self.geometry["coordinates"]
         linked = neighbours(self.geometry["cells"], places)
         rows = slice(None) if with_depth else slice(self.markers.readings_count)
@@ -370,6 +392,8 @@ class LinearSensor(MarkedSensor):
             choice,
             self._contacts(with_depth),
             self.markers.axes == "XYZ" or (with_depth and self.depth is not None),
+            self._normals,
+            scale,
         )
 
     def _contacts(self, with_depth: bool) -> ContactFit | None:
@@ -441,7 +465,7 @@ class LinearSensor(MarkedSensor):
     def _thorough(self, y: Array, wrench: Wrench | None, flags: list[Flag | None]) -> ForceMap:
         """The map at a lambda that is chosen on this frame, with everything that the static family tells."""
         seen = np.isfinite(y)
-        held = constraints(len(self.kept), self.contact, self.resultant, wrench)
+        held = constraints(len(self.kept), self.contact, self.resultant, wrench, self._normals)
         family = self.family if seen.all() else fewer(self.family, self._named(seen))
         found = estimated(constrained(family, held), y[seen])
         measured = self.depth is not None and bool(seen[self.markers.readings_count :].any())
@@ -484,6 +508,12 @@ class LinearSensor(MarkedSensor):
             self._thick, alone, lambda g: np.asarray(self.model.H[:count] @ g).reshape(shape)[:, :2], self.resultant,
             None if self.eye is None else self.eye.pixel,
         )  # fmt: skip
+
+    @cached_property
+    def _normals(self) -> Array | None:
+        """Outward normals (P, 3) at the nodes that may be loaded, of a curved surface."""
+        found = curved_normals(self.geometry["coordinates"], self.geometry["cells"])
+        return None if found is None else found[self.kept[::3] // 3]
 
     @cached_property
     def _thick(self) -> float:

@@ -22,7 +22,7 @@ from .._arrays import Array, Index, Mask
 from .discs import keep
 from .evidence import DiscModel, Fitted, shares
 from .gaussian import around
-from .inversion import FLIP, Answer, Pressed, RegionSolver
+from .inversion import Answer, Pressed, RegionSolver
 from .search import ContactSearch, score
 
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
@@ -131,11 +131,16 @@ class ContactFit(ContactSearch):
                 out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
         return out
 
-    def pressed(self, z: Array, local: LocalLoad, wide: float, friction: float | None) -> Pressed:
-        """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone."""
+    def pressed(
+        self, z: Array, local: LocalLoad, wide: float, friction: float | None, normals: Array | None = None
+    ) -> Pressed:
+        """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone.
+
+        `normals` (P, 3) are those of a curved surface.
+        """
         seen = np.isfinite(z)
         if not seen.all():
-            return self.on(seen).pressed(z[seen], local, wide, friction)
+            return self.on(seen).pressed(z[seen], local, wide, friction, normals)
         f, problem = local.best, self.problem
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
@@ -159,7 +164,8 @@ class ContactFit(ContactSearch):
         columns = (3 * nodes[:, None] + np.arange(3)).ravel()
         H = solve_triangular(factor, problem.whitened[:, columns], lower=True)
         R = problem.resultant[:, columns]
-        solver = RegionSolver(H, lambda _: L * np.tile(FLIP, len(nodes)), R, sparse.eye_array(len(nodes)), friction)
+        own = None if normals is None else normals[nodes]
+        solver = RegionSolver(H, lambda _: L, R, sparse.eye_array(len(nodes)), friction, own)
         nothing = Answer(np.zeros(n), np.zeros(n), np.zeros((6, 6)), np.zeros((n, 6)))
         found = solver.solve(solve_triangular(factor, z / wide, lower=True), np.ones(len(nodes), bool), None, nothing)
         load = np.zeros(problem.H.shape[1])

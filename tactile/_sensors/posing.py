@@ -318,12 +318,21 @@ def cut(penalty: Any, basis: Any, kept: Index) -> Any:
     return dense[np.any(dense != 0, axis=1)]
 
 
-def constraints(loads: int, contact: ContactLaw, resultant: Array, wrench: Wrench | None) -> list[Constraint]:
-    """Constraints of the static family: friction cones or pressures that are not negative, and a resultant."""
+WIDE = 100.0  # friction of a cone that only forbids pulling, where a surface is curved
+
+
+def constraints(
+    loads: int, contact: ContactLaw, resultant: Array, wrench: Wrench | None, normals: Array | None = None
+) -> list[Constraint]:
+    """Constraints of the static family: friction cones or pressures that are not negative, and a resultant.
+
+    `normals` (P, 3) are those of a curved surface at the nodes that may be loaded; of a flat one it is Z.
+    """
     triples = np.arange(loads).reshape(-1, 3)
     out: list[Constraint] = []
-    if contact.friction is not None:
-        out.append(FrictionCone(contact.friction, triples, normals=np.tile([0.0, 0.0, -1.0], (len(triples), 1))))
+    if contact.friction is not None or (contact.no_pull and normals is not None):
+        inward = np.tile([0.0, 0.0, -1.0], (len(triples), 1)) if normals is None else -normals
+        out.append(FrictionCone(WIDE if contact.friction is None else contact.friction, triples, normals=inward))
     elif contact.no_pull:
         out.append(Bounds(upper=0.0, loads=triples[:, 2]))
     if wrench is not None:

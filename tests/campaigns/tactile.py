@@ -26,6 +26,7 @@ from .scores import Z95, Array
 ERRORS = ("none", *NUISANCES[1:], "E", "nu", "thickness", "dome")
 SETUPS = ((0.45, 2e-6), (0.32, 5e-6), (0.49, 5e-6), (0.45, 20e-6))  # Poisson's ratio, noise of the markers (m)
 CALIBRATING = 3  # presses
+DRAWS = 10  # frames at rest, and shifted ones of each press, that are asked for W611
 NEAR = 0.05  # of the normal force: so near to the true one a force is right, whatever its band
 KINDS: dict[str, dict[str, Any]] = {
     "in the plane": {}, "and depth": {"depth": True}, "all axes": {"axes": "XYZ"},
@@ -51,10 +52,10 @@ class Mapped:
         The same of all components where nothing presses.
     error, best, cosine : float
         Relative L2 error of the map, the same at the best lambda, and its cosine.
-    quiet, found : bool or None
-        Whether a frame at rest raises no W611, and a shift of the image by a quarter of a pixel or more does.
+    alarms, found : float or None
+        Shares of frames at rest, and of those whose image is shifted by a quarter of a pixel or more, that raise W611.
     shifted : float
-        Error of the force in that shifted frame, over the force.
+        Error of the force in a shifted frame, over the force.
     force : float
         True normal force (N); the largest of a run is the full scale of its shifted frames.
     codes : frozenset of str
@@ -69,8 +70,8 @@ class Mapped:
     error: float
     best: float
     cosine: float
-    quiet: bool | None
-    found: bool | None
+    alarms: float | None
+    found: float | None
     shifted: float
     force: float
     codes: frozenset[str]
@@ -152,18 +153,21 @@ def held(user: User, sensor: MultilayerPad, case: Case, best: float, how: str) -
     away = force.value - case.force
     inside = np.abs(t - true) <= Z95 * found.std.reshape(-1, 3)
     under, normal = np.any(true != 0, axis=1), abs(case.force[2])
-    quiet = seen = None
+    alarms = seen = None
     shifted = np.nan
     if how == "at once":
         rng = np.random.default_rng(round(1e9 * normal))
-        quiet = not _slipped(sensor.estimate(*user.seen(at_rest(rng, case))))
-        moved = user.map(sensor, case, case.motion + disturbed(rng, "shift", case.points)[0])
-        seen, shifted = _slipped(moved), float(np.linalg.norm(moved.resultant().value - case.force) / normal)
+        motions = [case.motion + disturbed(rng, "shift", case.points)[0] for _ in range(DRAWS)]
+        rest = [sensor.estimate(*user.seen(at_rest(rng, case)))]
+        rest += [sensor.follow(*user.seen(at_rest(rng, case))) for _ in range(DRAWS - 1)]
+        moved = [user.map(sensor, case, motions[0]), *(sensor.follow(*user.seen(case, m)) for m in motions[1:])]
+        alarms, seen = (float(np.mean([_slipped(f) for f in frames])) for frames in (rest, moved))
+        shifted = float(np.linalg.norm(moved[0].resultant().value - case.force) / normal)
     return Mapped(
         (f"{user.kind}, {how}", f"nu {case.nu}", case.shape), np.abs(away) <= NEAR * normal,
         np.abs(away) <= Z95 * force.std, float(2 * Z95 * force.std[2] / normal), inside[under].mean(axis=0),
         float(inside[~under].mean()), _error(t, true), best,
-        float(np.sum(t * true) / np.linalg.norm(t) / np.linalg.norm(true)) if t.any() else 0.0, quiet, seen, shifted,
+        float(np.sum(t * true) / np.linalg.norm(t) / np.linalg.norm(true)) if t.any() else 0.0, alarms, seen, shifted,
         float(normal), frozenset(f.code.removeprefix("LID-") for f in found.flags),
     )  # fmt: skip
 
@@ -214,9 +218,9 @@ def line(name: str, found: Sequence[Mapped], full: float) -> str:
         f"{np.median([m.error for m in found]):5.2f} {np.median([m.error / m.best for m in found]):5.2f} ",
         f"{np.quantile([m.error / m.best for m in found], 0.9):5.2f} {np.median([m.cosine for m in found]):5.2f}",
     ]
-    told = [m for m in found if m.quiet is not None]
+    told = [m for m in found if m.found is not None]
     if told:
-        parts.append(f"  {np.mean([not m.quiet for m in told]):5.0%} {np.mean([bool(m.found) for m in told]):5.0%} "
+        parts.append(f"  {np.mean([m.alarms for m in told]):5.1%} {np.mean([m.found for m in told]):5.1%} "  # type: ignore[misc]
                      f"{np.median([m.shifted for m in told]):6.2f} "
                      f"{np.median([m.shifted * m.force for m in told]) / full:6.1%}")  # fmt: skip
     return "".join(parts)

@@ -9,7 +9,7 @@ from scipy.interpolate import LinearNDInterpolator
 from structures._elements import solids
 from structures._elements.members import Material
 from structures.errors import InputError
-from tactile import Markers, MultilayerPad, Pad
+from tactile import ContactLaw, Markers, MultilayerPad, Pad, Wrench
 from tactile._pad.padfile import read
 
 from .domes import GEL, HEIGHT, PLINTH, RADIUS, DomePress, calibration, dome, markers, motion
@@ -226,3 +226,34 @@ def test_pressure_is_that_along_the_normal() -> None:
     flat = estimated(Pad(size=(16e-3, 16e-3), thickness=3e-3, pitch=2e-3, layers=4, **GEL), side)
     assert flat.normals is None
     assert np.array_equal(flat.pressure(), -flat.traction()[:, 2])
+
+
+def test_constraints_hold_along_the_local_normal() -> None:
+    """A frictionless press on a slope of .25, on a coarse mesh: no pull, and a friction of .15, along its normals."""
+    model, slope = dome(1.2e-3, 4), DomePress(at=(3.5e-3, 0.0), radius=2e-3, force=0.4)
+    at, truth = markers(), on_nodes(dome(1.2e-3, 4), slope)
+    u = motion(at, slope) + NOISE * np.random.default_rng(1).standard_normal((len(at), 3))
+    settings = {"friction": ({"penalty": "identity", "choice": 0.02}, {"choice": 0.01}), "no pull": ({"choice": 0.01},)}
+    for law, given in settings.items():
+        contact = ContactLaw(friction=0.15) if law == "friction" else ContactLaw(no_pull=True)
+        for each in given:
+            found = MultilayerPad(model, Markers(at, NOISE, "XYZ"), contact=contact, **each).estimate(u)
+            pressure, t = found.pressure(), found.traction()
+            assert pressure.min() > -1e-6 * pressure.max()
+            if law == "friction":
+                shear = np.linalg.norm(t + pressure[:, None] * found.normals, axis=1)
+                assert np.all(shear <= 0.15 * pressure + 1e-6 * pressure.max())
+            print(law, relative(t, truth), found.resultant().value, slope.resultant(dome()))
+            assert relative(t, truth) < 0.29  # with Z for the normal, or a mesh that is taken to be exact, more
+            assert np.allclose(found.resultant().value, slope.resultant(dome()), atol=0.03)
+
+
+def test_a_wrench_on_a_slope_is_what_its_normals_carry() -> None:
+    model = dome(2e-3, 3)
+    press = ContactLaw(friction=0.3)
+    sensor = MultilayerPad(model, Markers(markers(2e-3), NOISE, "XYZ"), contact=press, choice=0.05, penalty="identity")
+    u = motion(markers(2e-3), DomePress(at=(4e-3, 0.0), radius=2e-3, force=0.4))
+    found = sensor.estimate(u, wrench=Wrench([-0.16, 0.0, -0.4])).resultant()  # .4 to Z, a tenth to the normal there
+    assert np.allclose(found.value, (-0.16, 0.0, -0.4), atol=1e-4)
+    with pytest.raises(InputError, match="cannot carry"):
+        sensor.estimate(u, wrench=Wrench([-0.5, 0.0, -0.2]))

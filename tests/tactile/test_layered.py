@@ -77,6 +77,16 @@ def written_out(sensor: LayerSensor, y: np.ndarray, alpha: float, loaded: np.nda
     return whole[on_map], spread[on_map], R @ C @ R.T
 
 
+def outside(points: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Variance of the resultant by what moves beyond a window of places (N, 2) whose edge moves by some of u (N, 2)."""
+    x, y = points[:, :2].T
+    edge = np.isclose(x, x.min()) | np.isclose(x, x.max()) | np.isclose(y, y.min()) | np.isclose(y, y.max())
+    pitch = (np.diff(np.unique(x.round(9))).mean() + np.diff(np.unique(y.round(9))).mean()) / 2
+    std = np.zeros(6)
+    std[:2] = 0.5 * 2 * H / np.pi * (GEL.E / 2 / (1 + GEL.nu) / H) * pitch * u[edge, :2].sum(axis=0)
+    return np.outer(std, std)
+
+
 CASES = [("XY", "free"), ("XY", "unknown"), ("XYZ", "unknown"), ("XYZ", "free")]
 
 
@@ -96,7 +106,7 @@ def test_a_full_grid_is_the_dense_problem_of_the_periodic_grid(axes: str, normal
     std = np.maximum(sigma * spread, np.abs(found.bias))
     assert np.allclose(found.std, std, rtol=2e-5)
     taken = s._resultant @ found.bias
-    expected = sigma**2 * covariance + np.outer(taken, taken)
+    expected = sigma**2 * covariance + np.outer(taken, taken) + outside(points, y)
     size = np.sqrt(np.diag(expected))
     assert np.allclose(found.geometry["resultant_covariance"], expected, atol=1e-4 * np.outer(size, size), rtol=0)
 
@@ -134,6 +144,8 @@ def test_iterations_solve_the_dense_problem(kind: str, penalty: str) -> None:
     assert np.allclose(found.load, load, atol=2e-6 * np.abs(load).max())
     taken = s._resultant @ found.bias
     expected = found.facts.noise_level**2 * covariance + np.outer(taken, taken)
+    if kind == "lost":
+        expected += outside(points, filled.T)
     size = np.sqrt(np.diag(expected))
     assert np.allclose(found.geometry["resultant_covariance"], expected, atol=2e-3 * np.outer(size, size), rtol=0)
     assert found.facts["lost"] == (9 if kind == "lost" else 0)
@@ -155,6 +167,16 @@ def test_exact_motion_gives_the_tractions_of_a_shear_back(nu: float) -> None:
     assert slope == pytest.approx(1, abs=0.03)
     assert np.allclose(found.resultant().value, SHEAR.vector, atol=5e-3)
     assert not np.any(found.traction()[:, 2])
+
+
+@pytest.mark.parametrize("side", [14e-3, 18e-3, 24e-3])
+def test_what_moves_beyond_a_window_is_in_the_band_of_the_force(side: float) -> None:
+    points = grid(61, 61, side)
+    force = LayerSensor(GEL, Markers(points, 1e-9)).estimate(SHEAR.displacement(GEL, points)[:, :2]).resultant()
+    away, std = np.abs(force.value - SHEAR.vector)[:2], force.std[:2]
+    print(away / std, std / SHEAR.vector[:2])
+    assert np.all(away < 1.5 * std)
+    assert np.all(std < 4 * away)
 
 
 @pytest.mark.parametrize(("nu", "pressed"), [(0.3223, 0.02), (0.45, 0.05), (0.49, 0.25)])

@@ -360,6 +360,32 @@ def test_the_node_of_the_example_fills_its_messages(
     assert "no image" in word.data
 
 
+def test_ros_carries_its_messages(day: tuple[Path, list[LiveFrame]]) -> None:
+    """The message types of ROS 2 Humble, into CDR and back by a library of its own."""
+    pytest.importorskip("rosbags")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, found = store.types, day[1][6]
+    stamp = types["builtin_interfaces/msg/Time"](sec=int(found.time), nanosec=int(found.time % 1 * 1e9))
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="gel")
+    told, cloud = wrench(found.map), point_cloud(found.map)
+    vectors = {k: types["geometry_msgs/msg/Vector3"](**v) for k, v in told.items()}
+    sent = types["geometry_msgs/msg/Wrench"](**vectors)
+    kind = "geometry_msgs/msg/WrenchStamped"
+    back: Any = store.deserialize_cdr(store.serialize_cdr(types[kind](header=header, wrench=sent), kind), kind)
+    assert [getattr(back.wrench.force, a) for a in "xyz"] == found.map.resultant().value.tolist()
+    assert back.header.frame_id == "gel"
+    fields = [types["sensor_msgs/msg/PointField"](**f) for f in cloud["fields"]]
+    data, kind = np.frombuffer(cloud["data"], np.uint8), "sensor_msgs/msg/PointCloud2"
+    message_ = types[kind](**{**cloud, "header": header, "fields": fields, "data": data})
+    back = store.deserialize_cdr(store.serialize_cdr(message_, kind), kind)
+    at = back.data.reshape(back.width, back.point_step)
+    starts = [f.offset for f in back.fields if f.name.startswith("f")]
+    force = np.column_stack([at[:, k : k + 4].copy().view("<f4") for k in starts])
+    np.testing.assert_allclose(force.sum(axis=0), found.map.resultant().value, rtol=1e-4, atol=1e-6)
+
+
 # -- page -------------------------------------------------------------------------------------------------------------
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
