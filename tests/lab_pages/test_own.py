@@ -22,7 +22,7 @@ from loadid._lab.server import Lab
 from loadid._lab.shown import BINS, Shown, curve, shortened
 from loadid.cli import main
 
-from .asked import asked, posted, sent
+from .client import asked, posted, sent
 
 PLAIN = {"family": "auto", "response": "", "noise": "", "more": ""}
 NO_WORDS = {"fs": "", "columns": "", "record": "", "units": ""}
