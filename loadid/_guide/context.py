@@ -58,19 +58,19 @@ class Reading:
         return {**self.given, **record, **truth}
 
 
-def require_lambda(family: str) -> str:
-    """The family, if it has a lambda that can be frozen.
+def require_frozen(family: str) -> str:
+    """The family, if it has a lambda that can be frozen, or a tuning.
 
     Raises
     ------
     InputError
         It has none, or finds a place before a load.
     """
-    if "choice" not in known(family) or family == "location":
+    if family != "tracker" and ("choice" not in known(family) or family == "location"):
         raise InputError(
             "this family has no lambda that could be frozen", where="family of the job", found=family,
-            expected="static, deconvolution, field, sparse, frequency or harmonic",
-            hint="a tracker is tuned once and watched by loadid track; a location is found before its load",
+            expected="static, deconvolution, field, sparse, frequency, harmonic or tracker",
+            hint="find the place first, with loadid identify --family location: its load is a job of deconvolution",
         )  # fmt: skip
     return family
 
@@ -133,7 +133,7 @@ class GuidedJob:
             One without a lambda that can be frozen.
         """
         named = str(self.job.get("family", "auto"))
-        return require_lambda(plain_family(self.model, self.log) if named == "auto" else named)
+        return require_frozen(plain_family(self.model, self.log) if named == "auto" else named)
 
     @cached_property
     def inverted(self) -> frozenset[str]:
@@ -149,14 +149,18 @@ class GuidedJob:
         """Settings of the family, as the job gives them."""
         return {name: value for name, value in self.job.items() if name in OPTIONS}
 
-    def estimate(self, found: Any = None, **override: Any) -> LoadEstimate:
-        """The load of the log, or of a record, with some settings in place of those of the job.
+    def estimate(self, found: Any = None, *, tracker: Path | None = None, **override: Any) -> LoadEstimate:
+        """The load of the log, or of a record, with some settings in place of those of the job, or by a tuned tracker.
 
         Raises
         ------
         InputError, NotIdentifiable
             From the family.
         """
+        if tracker is not None:
+            from .._families.tracking.tracker import Tracker
+
+            return Tracker.load(tracker, self.model).track(self.responses(self.log if found is None else found))
         options = {**self.options, **override}
         if found is not None:  # its readings are averaged already
             options = {name: value for name, value in options.items() if name not in ("at", "mean")}

@@ -103,11 +103,11 @@ class Guide:
                              expected="a job without one", hint=f"loadid guide status --job {place.name}")  # fmt: skip
         if log is not None or model is not None:
             _write_job(place, log, model)
-        from .context import require_lambda
+        from .context import require_frozen
 
         found = _settled(place)
         if found.get("family", "auto") != "auto":
-            require_lambda(found["family"])
+            require_frozen(found["family"])
         words = {name: value for name, value in (about or {}).items() if value}
         for name, value in words.items():
             _short(value, name)
