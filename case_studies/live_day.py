@@ -286,11 +286,11 @@ def show(found: Day) -> str:
 
 
 def picture(found: Day, path: Path) -> None:
-    """The normal force over the day, true and found, and its error; each part with its name and what was said."""
+    """The normal force over the day, true and found, and its error, through the parts of the day."""
     from matplotlib.figure import Figure
 
-    fig = Figure(figsize=(12.5, 6.5), layout="constrained")
-    top, low = fig.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    fig = Figure(figsize=(12.5, 7.0), layout="constrained")
+    top, low = fig.subplots(2, 1, sharex=True, height_ratios=(5, 2))
     time = np.arange(len(found.pressed)) / RATE
     true, force = found.pressed.T
     top.plot(time, force, color="#0072b2", lw=1.3, label="found")
@@ -302,10 +302,9 @@ def picture(found: Day, path: Path) -> None:
         end = start + part.frames
         for ax in (top, low):
             ax.axvspan(start / RATE, end / RATE, color="grey", alpha=0.12 * (k % 2), lw=0)
-        said = f"  ({', '.join(part.said)})" if part.said else ""
-        top.text((start + end) / 2 / RATE, 0.49, f"{part.name}{said}", rotation=90, ha="center", va="bottom", fontsize=8)
+        top.text((start + end) / 2 / RATE, 0.46, part.name, rotation=90, ha="center", va="bottom", fontsize=8.5)
         start = end
-    top.set_ylim(-0.02, 1.05)
+    top.set_ylim(-0.05, 1.15)
     top.set_yticks(np.arange(0, 0.5, 0.1))
     top.set_ylabel("normal force (N)", loc="bottom")
     top.legend(loc="lower left", fontsize=8)

@@ -14,7 +14,6 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._commands import _inputs as inputs
-from .._commands._job import resolved
 from .._commands._settings import CONSTRAINTS, known, load_family
 from .._commands.identify import family_settings
 from .._results.summary import UNEXPLAINED
@@ -289,9 +288,7 @@ def precomputed(asked: Asked) -> Outcome:
     begun = time.process_time()
     e = job.estimate(**frozen)
     spent = time.process_time() - begun
-    text = resolved({**job.job, "output": None, "report": None, "plot": None, "family": job.family, **frozen},
-                    asked.folder.resolve())  # fmt: skip
-    made = {asked.folder / f"{asked.stem}.frozen.toml": text.encode()}
+    made = {asked.folder / f"{asked.stem}.frozen.toml": job.frozen_text(frozen, asked.folder.resolve()).encode()}
     figures: dict[str, Any] = {"frozen_job": f"{asked.stem}.frozen.toml"}
     figures |= {"lam": frozen["choice"]} if "choice" in frozen else {"variance": frozen["variance"]}
     if job.family == "static":

@@ -10,7 +10,7 @@ import numpy as np
 from structures.errors import InputError, digests
 
 from .. import _guards as guards
-from .checks import certified, of_rows, rows, worst
+from .checks import of_rows, rows, worst
 from .context import MODELS, GuidedJob
 from .ledger import Signature, hashed
 from .outcome import Asked, Outcome
@@ -29,7 +29,7 @@ def characterised(asked: Asked) -> Outcome:
                          expected="what the numbers of the model come from: a test report, a data sheet, a modal test",
                          hint="loadid guide sign 1 --evidence FILE...")  # fmt: skip
     model = asked.job.model
-    figures: dict[str, Any] = {"model": type(model).__name__, "fingerprint": model.fingerprint}
+    figures: dict[str, Any] = {"model": type(model).__name__, "fingerprint": model.fingerprint, **asked.job.described()}
     modes = model.natural_frequencies
     said = f"{type(model).__name__} of {_count(len(model.sensors), 'sensor')} and {_count(len(model.loads), 'load')}"
     if modes is not None and len(modes):
@@ -81,7 +81,7 @@ def verified(asked: Asked) -> Outcome:
     logs = [path for path in asked.records if not _is_model(path)]
     records = [job.record(path) for path in logs]
     if records:
-        found = {path.as_posix(): certified(job, record) for path, record in zip(logs, records, strict=True)}
+        found = {path.as_posix(): job.certified(record) for path, record in zip(logs, records, strict=True)}
     elif job.model.certificate is not None:
         found = {Path(job.job["model"]).name: job.model.certificate}
     else:

@@ -37,13 +37,20 @@ def tuned(asked: Asked) -> Outcome:
     }  # fmt: skip
     said = f"prior, noise and gain by likelihood ({fitted.words})"
     if told is not None:
+        each_sensor = zip(told.sensors, told.rms, told.mean, told.left_out, strict=True)
         figures |= {
-            "verdict": told.verdict, "failing": list(told.failing), "nis": told.nis, "nis_by_chance": list(told.nis_bounds),
-            "whiteness": told.whiteness, "whiteness_by_chance": told.whiteness_bound, "forgets_within_s": told.time_constant,
-            "sensors": {name: {"innovation_rms": rms, "innovation_mean": mean,
-                               **({} if share is None else {"inside_from_the_others": share})}
-                        for name, rms, mean, share in zip(told.sensors, told.rms, told.mean, told.left_out, strict=True)},
-        }  # fmt: skip
+            "verdict": told.verdict,
+            "failing": list(told.failing),
+            "nis": told.nis,
+            "nis_by_chance": list(told.nis_bounds),
+            "whiteness": told.whiteness,
+            "whiteness_by_chance": told.whiteness_bound,
+            "forgets_within_s": told.time_constant,
+            "sensors": {
+                name: {"innovation_rms": rms, "innovation_mean": mean, "inside_from_the_others": share}
+                for name, rms, mean, share in each_sensor
+            },
+        }
         said += f"; {told.verdict}, NIS {told.nis:.3f}"
     if noise:
         figures["noise"] = noise["noise"]
@@ -64,8 +71,10 @@ def replayed(asked: Asked, path: Path) -> Outcome:
     off = float(np.linalg.norm(loads - whole[:count]) / max(float(np.linalg.norm(whole[:count])), 1e-300))
     figures = {"tracker": path.name, "seconds_per_sample": each, "seconds_between_samples": responses.dt,
                "differs_by": off}  # fmt: skip
-    said = (f"{1e6 * each:.3g} us a sample of {1e6 * responses.dt:.3g} us; sample by sample it differs from the load of "
-            f"step 7 by {off:.1e}; loadid track --model {path.name} runs it")  # fmt: skip
+    said = (
+        f"{1e6 * each:.3g} us a sample of {1e6 * responses.dt:.3g} us; sample by sample it differs from the load of "
+        f"step 7 by {off:.1e}; loadid track --model {path.name} runs it"
+    )
     return Outcome(said, figures, (), off < 1e-6)
 
 
