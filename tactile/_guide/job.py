@@ -153,12 +153,13 @@ class PadJob(GuidedJob):
     @property
     def options(self) -> dict[str, Any]:
         """Settings of the family; noise is what step 2 left of a known press: the camera's, and errors of the mesh."""
-        found = {name: self.job[name] for name in ("penalty", "choice", "allow") if name in self.job}
+        found: dict[str, Any] = {name: self.job[name] for name in ("penalty", "choice", "allow") if name in self.job}
         one = self._certificate
         if one is not None and one.noise_ratio is not None:
             left = dict(zip(one.sensors, one.noise_ratio, strict=True))
-            found["noise"] = {c.label: float(c.noise) * max(1.0, left.get(_part(c.label), 1.0))
-                              for c in self.model.sensors}  # fmt: skip
+            found["noise"] = {
+                c.label: float(c.noise or 0.0) * max(1.0, left.get(_part(c.label), 1.0)) for c in self.model.sensors
+            }
             found["noise_source"] = "left of a known press in step 2"
         return found
 
@@ -287,8 +288,9 @@ class PadJob(GuidedJob):
                 parts.append(Certificate.compare(model[:, None], seen[:, None], [name], noise=np.ones(1),
                                                  source=record.name))  # fmt: skip
         return Certificate(
-            *(tuple(getattr(one, field)[0] for one in parts) for field in ("gain", "shape", "error", "noise_ratio")),
-            sensors=tuple(one.sensors[0] for one in parts), source=record.name, date=parts[0].date,
+            tuple(one.gain[0] for one in parts), tuple(one.shape[0] for one in parts),
+            tuple(one.error[0] for one in parts), tuple((one.noise_ratio or (1.0,))[0] for one in parts),
+            tuple(one.sensors[0] for one in parts), record.name, parts[0].date,
         )  # fmt: skip
 
     def watched(self, record: Record) -> list[Flag]:

@@ -66,15 +66,17 @@ def presses(path: Path) -> KnownPress:
     at, radius = table.quantities("at", "displacement", 2, None), table.positive("radius", "displacement", None)
     words = table.words("force")
     table.end()
-    force = tuple(_newtons(path, word) for word in words)
-    if len(force) != len(FORCES):
-        raise InputError("no force", where=f"{path}: force", found=f"{len(force)} numbers",
+    if len(words) != len(FORCES):
+        raise InputError("no force", where=f"{path}: force", found=f"{len(words)} numbers",
                          expected='force = ["0.25 N", "0 N", "-1 N"], on the pad along x, y and z')  # fmt: skip
+    x, y, z = (_newtons(path, word) for word in words)
     if (at is None) != (radius is None):
         raise InputError("a place and a radius go together", where=str(path), found="one of them",
                          expected="at and radius, or neither: then the force alone is known")  # fmt: skip
-    press = None if at is None else Press(at=at, radius=radius, force=-force[2], shear=(force[0], force[1]))
-    return KnownPress(table.beside(log), None if depth is None else table.beside(depth), unloaded, frames, force, press)
+    press = None if at is None else Press(at=at, radius=radius, force=-z, shear=(x, y))
+    return KnownPress(
+        table.beside(log), None if depth is None else table.beside(depth), unloaded, frames, (x, y, z), press
+    )
 
 
 def _newtons(path: Path, word: str) -> float:

@@ -237,12 +237,14 @@ const draw = (figure, plot) => {
       if (d) inside.append(node("path", { class: `curve ${look}`, d }));
     }
   }
-  (plot.uprights ?? []).forEach((one, k) => {
-    if (one.x === null || one.x === undefined) return;
-    const u = px(one.x);
-    inside.append(node("line", { class: `upright ${one.look ?? ""}`, x1: u, x2: u, y1: pad.top, y2: pad.top + h }));
-    const flip = u > pad.left + 0.6 * w;
-    inside.append(node("text", { x: u + (flip ? -4 : 4), y: pad.top + 12 + 13 * (k % 8), "text-anchor": flip ? "end" : "start" }, one.name ?? ""));
+  // names of uprights stand below each other from left to right, each with a dot on its line
+  const uprights = (plot.uprights ?? []).filter(one => one.x !== null && one.x !== undefined).sort((a, b) => a.x - b.x);
+  uprights.forEach((one, k) => {
+    const u = px(one.x), v = pad.top + 12 + 15 * (k % 8), long = 8 + 7 * (one.name ?? "").length;
+    const flip = u + long > pad.left + w || (2 * k + 1 < uprights.length && u - long > pad.left);
+    inside.append(node("line", { class: `upright ${one.look ?? ""}`, x1: u, x2: u, y1: pad.top, y2: pad.top + h }),
+      node("circle", { class: `upright ${one.look ?? ""} dot`, cx: u, cy: v - 4, r: 3 }));
+    inside.append(node("text", { x: u + (flip ? -8 : 8), y: v, "text-anchor": flip ? "end" : "start" }, one.name ?? ""));
   });
   svg.append(grid, inside, node("rect", { class: "frame", x: pad.left, y: pad.top, width: w, height: h }), text,
     node("text", { x: pad.left + w, y: height - 6, "text-anchor": "end" }, x.label ?? ""));
