@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from structures._certificate import Certificate
-    from structures._flags import Flag
     from structures._model import Model
 
     from .._record import Record
@@ -109,6 +108,8 @@ class GuidedJob:
 
     def __init__(self, job: Mapping[str, Any], reading: Reading, certificate: Any = None) -> None:
         self.job, self.reading, self._certificate = dict(job), reading, certificate
+
+    over_time = True  # whether a record may tell of its channels whether they are sound
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Job:
@@ -225,17 +226,9 @@ class GuidedJob:
 
         return [path for path in evidence if path.suffix.lower() in known_suffixes()]
 
-    def certified(self, record: Record) -> Certificate:
-        """Certificate of the model against a record that holds a known load, see `checks.certified`."""
-        from .checks import certified
-
-        return certified(self, record)
-
-    def watched(self, record: Record) -> list[Flag]:
-        """What a record tells without a known load, see `checks.watched`."""
-        from .checks import watched
-
-        return watched(self, record)
+    def certified(self, record: Record) -> Certificate | None:
+        """A certificate that a kind of job makes in its own way; None where `checks.certified` does."""
+        return None
 
     def resultants(self) -> dict[str, NDArray[np.float64]]:
         """Resultants (loads,) of the loads, by name: those of their basis, else the sum of loads of one unit."""

@@ -163,10 +163,6 @@ def froze(asked: Asked) -> Outcome:
     Where no noise is known and the family learned from the record how the variance of its load changes, no lambda
     holds for the next record: that it is learned is frozen, each record learns its own.
     """
-    if asked.job.family == "tracker":
-        from .trackers import tuned
-
-        return tuned(asked)
     job = asked.job
     noise = unloaded(asked)
     own = job.estimate(**noise)
@@ -281,10 +277,6 @@ def at_frozen(asked: Asked) -> dict[str, Any]:
 def precomputed(asked: Asked) -> Outcome:
     """Step 8: the inverse at the frozen lambda, held against the load of step 7, and what a reading costs."""
     job, frozen = asked.job, at_frozen(asked)
-    if "tracker" in frozen:
-        from .trackers import replayed
-
-        return replayed(asked, frozen["tracker"])
     begun = time.process_time()
     e = job.estimate(**frozen)
     spent = time.process_time() - begun

@@ -8,7 +8,7 @@ from structures.errors import InputError
 
 from .. import _guards as guards
 from .._results.summary import UNEXPLAINED
-from .checks import drift
+from .checks import certified, drift, watched
 from .inversions import at_frozen, residual_share
 from .ledger import hashed
 from .models import certificate
@@ -50,7 +50,7 @@ def monitored(asked: Asked) -> Outcome:
         raise InputError("this record is the one of step 2: it shows no drift", where=path.name,
                          found="the same file", expected="a later record")  # fmt: skip
     record = job.record(path)
-    flags = job.watched(record)
+    flags = watched(job, record)
     if job.loads(record) is None:
         e = job.estimate(record, **at_frozen(asked))
         against = [flag for flag in e.flags if flag.code in CONTRADICTED]
@@ -63,7 +63,7 @@ def monitored(asked: Asked) -> Outcome:
         off = [flag for flag in flags if flag.code in CONTRADICTED]
         said = "no known load: sensors that contradict each other are seen, a gain that all have lost is not"
         return Outcome(f"{said}; {'something has changed' if off else 'nothing has'}", figures, flags, not off)
-    now = job.certified(record)
+    now = certified(job, record)
     then = asked.latest[VERIFY]
     found = drift(certificate(then), int(then.figures["samples"]), now, len(record))
     figures = {"known_load": True, "source": now.source, "sensors": found.table,

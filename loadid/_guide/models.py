@@ -10,7 +10,7 @@ import numpy as np
 from structures.errors import InputError, digests
 
 from .. import _guards as guards
-from .checks import of_rows, rows, worst
+from .checks import certified, of_rows, rows, worst
 from .context import MODELS, GuidedJob
 from .ledger import Signature, hashed
 from .outcome import Asked, Outcome
@@ -81,7 +81,7 @@ def verified(asked: Asked) -> Outcome:
     logs = [path for path in asked.records if not _is_model(path)]
     records = [job.record(path) for path in logs]
     if records:
-        found = {path.as_posix(): job.certified(record) for path, record in zip(logs, records, strict=True)}
+        found = {path.as_posix(): certified(job, record) for path, record in zip(logs, records, strict=True)}
     elif job.model.certificate is not None:
         found = {Path(job.job["model"]).name: job.model.certificate}
     else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from .._commands._settings import load_family
 from .._commands.identify import family_settings
-from .inversions import require_explained, residual_share, unloaded
+from .inversions import at_frozen, require_explained, residual_share, unloaded
 from .outcome import Asked, Outcome
 
 if TYPE_CHECKING:
@@ -57,11 +57,11 @@ def tuned(asked: Asked) -> Outcome:
     return Outcome(f"{said}; frozen", figures, [f for f in tracker.flags if f.code[5] in "45"], made=made)
 
 
-def replayed(asked: Asked, path: Path) -> Outcome:
+def replayed(asked: Asked) -> Outcome:
     """Step 8: the frozen tracker on the log, sample by sample, held against the load of step 7, and what one costs."""
     from .._families.tracking.tracker import Tracker
 
-    job = asked.job
+    job, path = asked.job, at_frozen(asked)["tracker"]
     responses = job.responses(job.log)
     whole = np.asarray(job.estimate(responses, tracker=path).load)
     stepped, count = Tracker.load(path, job.model), min(len(responses), 2000)

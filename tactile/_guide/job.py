@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,9 +30,6 @@ from .._sensors.linear import MultilayerPad
 from .._sensors.posing import PadModel
 from .presses import FORCES, KnownPress, presses
 
-if TYPE_CHECKING:
-    from structures._flags import Flag
-
 PENALTIES = ("identity", "gradient", "laplacian")
 NAMED = ("log", "depth", "model")
 PARTS = ("markers x", "markers y", "markers z", "depth")  # of the readings, each checked as a whole
@@ -41,6 +38,8 @@ ONE_READING = 1.0  # s, that nobody asks for
 
 class PadJob(GuidedJob):
     """A job whose model is a pad file and whose log are frames; see `GuidedJob`."""
+
+    over_time = False  # one reading tells of no channel whether it is sound
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Job:
@@ -292,10 +291,6 @@ class PadJob(GuidedJob):
             tuple(one.error[0] for one in parts), tuple((one.noise_ratio or (1.0,))[0] for one in parts),
             tuple(one.sensors[0] for one in parts), record.name, parts[0].date,
         )  # fmt: skip
-
-    def watched(self, record: Record) -> list[Flag]:
-        """Nothing: one reading tells of no channel whether it is sound."""
-        return []
 
     def frozen_text(self, frozen: Mapping[str, Any], folder: Path) -> str:
         """The job with what was frozen."""
