@@ -7,7 +7,7 @@ dots wear off, a hand covers a third of the view, the camera is knocked by a pix
 process is stopped under a load and started again from its state. `tactile.live.Live` sees these frames and nothing
 else. For each part of the day stand what was said in it, and the force of its last frames beside the truth.
 
-Run ``python -m case_studies.live_day``: prints the table.
+Run ``python -m case_studies.live_day``: prints the table and draws the day.
 """
 
 from __future__ import annotations
@@ -93,11 +93,15 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Day:
-    """The parts of the day, the friction that was learned with its std, and what was counted."""
+    """The parts of the day, the friction that was learned with its std, and what was counted.
+
+    `pressed` (frames, 2) is the normal force of every frame in N, true and found; NaN where there is no map.
+    """
 
     parts: list[Part]
     friction: tuple[float, float]
     counts: dict[str, int]
+    pressed: Array
 
     def __getitem__(self, name: str) -> Part:
         return next(part for part in self.parts if part.name == name)
@@ -233,7 +237,17 @@ def live_day(short: bool = False) -> Day:
         found += list(live)
     known = live.friction
     learned = (np.nan, np.nan) if known is None else (known.value, known.std)
-    return Day(_parts(day, found), learned, {name: int(value) for name, value in live.counts.items()})
+    counts = {name: int(value) for name, value in live.counts.items()}
+    return Day(_parts(day, found), learned, counts, _pressed(day, found))
+
+
+def _pressed(day: list[Scenery], found: list[LiveFrame]) -> Array:
+    """Normal forces (frames, 2), true and found."""
+    true = [-_true(press)[2] for scene in day for press in scene.presses]
+    pressed = np.column_stack([true, np.full(len(true), np.nan)])
+    for frame in found:
+        pressed[frame.number - 1, 1] = -frame.map.resultant().value[2]
+    return pressed
 
 
 def _parts(day: list[Scenery], found: list[LiveFrame]) -> list[Part]:
@@ -271,9 +285,42 @@ def show(found: Day) -> str:
     return "\n".join(lines)
 
 
+def picture(found: Day, path: Path) -> None:
+    """The normal force over the day, true and found, and its error, through the parts of the day."""
+    from matplotlib.figure import Figure
+
+    fig = Figure(figsize=(12.5, 7.0), layout="constrained")
+    top, low = fig.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+    time = np.arange(len(found.pressed)) / RATE
+    true, force = found.pressed.T
+    top.plot(time, force, color="#0072b2", lw=1.3, label="found")
+    top.plot(time, true, color="black", ls=(0, (5, 3)), lw=1, label="true")
+    low.plot(time, 1e3 * (force - true), color="#0072b2", lw=1)
+    low.axhline(0, color="grey", lw=0.8)
+    start = 0
+    for k, part in enumerate(found.parts):
+        end = start + part.frames
+        for ax in (top, low):
+            ax.axvspan(start / RATE, end / RATE, color="grey", alpha=0.12 * (k % 2), lw=0)
+        top.text((start + end) / 2 / RATE, 0.46, part.name, rotation=90, ha="center", va="bottom", fontsize=8.5)
+        start = end
+    top.set_ylim(-0.05, 1.15)
+    top.set_yticks(np.arange(0, 0.5, 0.1))
+    top.set_ylabel("normal force (N)", loc="bottom")
+    top.legend(loc="lower left", fontsize=8)
+    low.set_ylabel("error (mN)")
+    low.set_xlabel("time (s)")
+    low.set_xlim(0, time[-1])
+    fig.savefig(path, dpi=110)
+
+
 def main() -> None:
-    """Print the table."""
-    print(show(live_day()))
+    """Print the table and save the picture."""
+    found = live_day()
+    print(show(found))
+    target = Path("live_day.png")
+    picture(found, target)
+    print(f"picture: {target}")
 
 
 if __name__ == "__main__":

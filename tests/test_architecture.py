@@ -36,6 +36,7 @@ DOORS = (
     "loadid.cli",
     "loadid._commands",
     "loadid._lab",
+    "loadid._guide",
     "loadid._batch",
     "loadid._serve",
     "loadid._stream",

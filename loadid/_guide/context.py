@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +18,21 @@ from structures.files import _storage as storage
 
 from .._commands import _inputs as inputs
 from .._commands import load_model
+from .._commands._job import OUTPUTS, resolved
+from .._commands._job import read as read_job
 from .._commands._settings import OPTIONS, known
 from .._commands.identify import identify, plain_family
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from structures._certificate import Certificate
     from structures._model import Model
 
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
+GROUP = "loadid.guide"  # entry points: suffix of a model file -> what a job of such a model is
 SAMPLES = 8  # from which equal columns are the same record, and no coincidence
 MODELS = (".h5", ".hdf5")
 AMPLITUDES = ("harmonic",)  # families whose loads are amplitudes with a phase
@@ -58,21 +64,33 @@ class Reading:
         return {**self.given, **record, **truth}
 
 
-def require_lambda(family: str) -> str:
-    """The family, if it has a lambda that can be frozen.
+def require_frozen(family: str) -> str:
+    """The family, if it has a lambda that can be frozen, or a tuning.
 
     Raises
     ------
     InputError
         It has none, or finds a place before a load.
     """
-    if "choice" not in known(family) or family == "location":
+    if family != "tracker" and ("choice" not in known(family) or family == "location"):
         raise InputError(
             "this family has no lambda that could be frozen", where="family of the job", found=family,
-            expected="static, deconvolution, field, sparse, frequency or harmonic",
-            hint="a tracker is tuned once and watched by loadid track; a location is found before its load",
+            expected="static, deconvolution, field, sparse, frequency, harmonic or tracker",
+            hint="find the place first, with loadid identify --family location: its load is a job of deconvolution",
         )  # fmt: skip
     return family
+
+
+Job = dict[str, Any]  # what a job file says, checked
+
+
+def kind_of(job: Mapping[str, Any]) -> type[GuidedJob]:
+    """What a job is by its model: a `GuidedJob`, or what another package names for model files of that suffix."""
+    suffix = Path(str(job.get("model", ""))).suffix.lower().removeprefix(".")
+    for point in entry_points(group=GROUP, name=suffix) if suffix else ():
+        found: type[GuidedJob] = point.load()
+        return found
+    return GuidedJob
 
 
 class GuidedJob:
@@ -90,6 +108,19 @@ class GuidedJob:
 
     def __init__(self, job: Mapping[str, Any], reading: Reading, certificate: Any = None) -> None:
         self.job, self.reading, self._certificate = dict(job), reading, certificate
+
+    over_time = True  # whether a record may tell of its channels whether they are sound
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Job:
+        """What the file of a job says, its paths from the folder of the job on.
+
+        Raises
+        ------
+        InputError
+            As `loadid._commands._job.read`.
+        """
+        return read_job(path)
 
     @cached_property
     def model(self) -> Model:
@@ -133,7 +164,7 @@ class GuidedJob:
             One without a lambda that can be frozen.
         """
         named = str(self.job.get("family", "auto"))
-        return require_lambda(plain_family(self.model, self.log) if named == "auto" else named)
+        return require_frozen(plain_family(self.model, self.log) if named == "auto" else named)
 
     @cached_property
     def inverted(self) -> frozenset[str]:
@@ -149,21 +180,37 @@ class GuidedJob:
         """Settings of the family, as the job gives them."""
         return {name: value for name, value in self.job.items() if name in OPTIONS}
 
-    def estimate(self, found: Any = None, **override: Any) -> LoadEstimate:
-        """The load of the log, or of a record, with some settings in place of those of the job.
+    def estimate(self, found: Any = None, *, tracker: Path | None = None, **override: Any) -> LoadEstimate:
+        """The load of the log, or of a record, with some settings in place of those of the job, or by a tuned tracker.
 
         Raises
         ------
         InputError, NotIdentifiable
             From the family.
         """
+        if tracker is not None:
+            from .._families.tracking.tracker import Tracker
+
+            return Tracker.load(tracker, self.model).track(self.responses(self.log if found is None else found))
         options = {**self.options, **override}
         if found is not None:  # its readings are averaged already
             options = {name: value for name, value in options.items() if name not in ("at", "mean")}
             found = self._as_read(found)
-        answer: LoadEstimate = identify(self.log if found is None else found, self.model, family=self.family,
-                                        responses=self.job.get("responses"), **options)  # fmt: skip
+        return self._identified(self.log if found is None else found, options)
+
+    def _identified(self, found: Any, options: Mapping[str, Any]) -> LoadEstimate:
+        answer: LoadEstimate = identify(found, self.model, family=self.family, responses=self.job.get("responses"),
+                                        **options)  # fmt: skip
         return answer
+
+    def described(self) -> dict[str, Any]:
+        """Figures of step 1 that the model itself does not state."""
+        return {}
+
+    def frozen_text(self, frozen: Mapping[str, Any], folder: Path) -> str:
+        """The job with what was frozen, as a file."""
+        job = {**self.job, **dict.fromkeys(OUTPUTS), "family": self.family}
+        return resolved({**job, **frozen}, folder)
 
     def _as_read(self, record: Record) -> Any:
         """A record as a family takes it: a single reading by sensor."""
@@ -173,6 +220,23 @@ class GuidedJob:
         return dict(zip(responses.labels, responses.values[0].tolist(), strict=True))
 
     # -- evidence -----------------------------------------------------------------------------------------------------
+    def records(self, evidence: Sequence[Path]) -> list[Path]:
+        """Evidence that is a log: what a reader knows by its suffix; anything else is attached as it is."""
+        from .._readers.source import known_suffixes
+
+        return [path for path in evidence if path.suffix.lower() in known_suffixes()]
+
+    def certified(self, record: Record) -> Certificate | None:
+        """A certificate that a kind of job makes in its own way; None where `checks.certified` does."""
+        return None
+
+    def resultants(self) -> dict[str, NDArray[np.float64]]:
+        """Resultants (loads,) of the loads, by name: those of their basis, else the sum of loads of one unit."""
+        model = self.model
+        if model.basis is not None:
+            return dict(zip(model.basis.resultant_labels, np.asarray(model.basis.resultant(), float), strict=True))
+        return {SUM: np.ones(len(model.loads))} if len({c.unit for c in model.loads}) == 1 else {}
+
     def record(self, path: Path) -> Record:
         """A record that is named as evidence; of static readings the mean that the job takes.
 

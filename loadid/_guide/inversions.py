@@ -14,7 +14,6 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._commands import _inputs as inputs
-from .._commands._job import resolved
 from .._commands._settings import CONSTRAINTS, known, load_family
 from .._commands.identify import family_settings
 from .._results.summary import UNEXPLAINED
@@ -100,7 +99,7 @@ def _histories(job: GuidedJob, e: LoadEstimate, figures: dict[str, Any]) -> str:
     }  # fmt: skip
     return (
         f"{modes.recoverable} of {modes.unknowns} modes of the record stand above its noise; rank {modes.rank}, "
-        f"nullity {modes.nullity}; lambda uses {figures.get('edf', float('nan')):.3g} of them"
+        f"nullity {modes.nullity}" + (f"; lambda uses {figures['edf']:.3g} of them" if "edf" in figures else "")
     )
 
 
@@ -159,20 +158,16 @@ def penalised(asked: Asked) -> Outcome:
 
 
 def froze(asked: Asked) -> Outcome:
-    """Step 7: lambda by the discrepancy, or by the rule of the job, with the other rules as witnesses."""
+    """Step 7: lambda by the discrepancy, or by the rule of the job, with the other rules as witnesses.
+
+    Where no noise is known and the family learned from the record how the variance of its load changes, no lambda
+    holds for the next record: that it is learned is frozen, each record learns its own.
+    """
     job = asked.job
-    noise = _unloaded(asked)
+    noise = unloaded(asked)
     own = job.estimate(**noise)
     e = found_by_rule(job, **noise)
-    if any(flag.code == UNEXPLAINED for flag in e.flags):
-        flag = next(flag for flag in e.flags if flag.code == UNEXPLAINED)
-        raise InputError(
-            "a lambda at which the load does not explain its data is not frozen",
-            where="step 7 of the guide",
-            found=flag.message,
-            expected="a residual of the size of the noise",
-            hint=flag.advice,
-        )
+    require_explained(e)
     figures: dict[str, Any] = {"lam": _lam(e), "family": job.family}
     said = f"relative lambda {_lam(e):.4g}"
     if (c := e.choice) is not None:
@@ -191,6 +186,12 @@ def froze(asked: Asked) -> Outcome:
         }
         apart = f", {c.spread:.2f} decades apart" if np.isfinite(c.spread) else ""
         said += f" by {c.rule}; verdict of the rules: {c.verdict}{apart}"
+    if e.facts.get("variance") == "local":
+        still = job.estimate(**noise, choice=_lam(e))
+        moved = float(np.linalg.norm(still.load - e.load) / float(np.linalg.norm(e.load)))
+        figures |= {"frozen": {"variance": "local"}, "one_lambda_differs_by": moved}
+        said = (f"in place of a lambda every record tells how the variance of its load changes; a constant one, at "
+                f"relative lambda {_lam(e):.4g}, gives a load {moved:.1%} away")  # fmt: skip
     if own.choice is not None and e.choice is not None and own.choice.rule != e.choice.rule:
         moved = float(np.linalg.norm(e.load - own.load) / max(float(np.linalg.norm(own.load)), 1e-300))
         figures["own_choice"] = {"rule": own.choice.rule, "lam": own.choice.lam, "load_differs_by": moved}
@@ -204,6 +205,20 @@ def froze(asked: Asked) -> Outcome:
     return Outcome(f"{said}; frozen", figures, _shown(7, e))
 
 
+def require_explained(e: LoadEstimate) -> None:
+    """Nothing, if a load explains its data.
+
+    Raises
+    ------
+    InputError
+    """
+    for flag in e.flags:
+        if flag.code == UNEXPLAINED:
+            raise InputError("what does not explain its data is not frozen", where="step 7 of the guide",
+                             found=flag.message, expected="a residual of the size of the noise",
+                             hint=flag.advice)  # fmt: skip
+
+
 def _lam(e: LoadEstimate) -> float:
     if e.choice is not None:
         return float(e.choice.lam)
@@ -214,7 +229,7 @@ def _lam(e: LoadEstimate) -> float:
                      hint='name the family in the job: family = "deconvolution"')  # fmt: skip
 
 
-def _unloaded(asked: Asked) -> dict[str, Any]:
+def unloaded(asked: Asked) -> dict[str, Any]:
     """Noise of every sensor, of a record without load; empty where none is named."""
     if not asked.records:
         return {}
@@ -248,9 +263,11 @@ def _coded(e: LoadEstimate, codes: Sequence[str]) -> list[Flag]:
 
 # -- 8: the inverse ----------------------------------------------------------------------------------------------------
 def at_frozen(asked: Asked) -> dict[str, Any]:
-    """The settings that step 7 froze: lambda, and the noise level where a record told it."""
+    """What step 7 froze: lambda or what stands in its place, and the noise level where a record told it."""
     figures = asked.latest[FREEZE].figures
-    frozen: dict[str, Any] = {"choice": float(figures["lam"])}
+    if "tracker" in figures:
+        return {"tracker": asked.folder / str(figures["tracker"])}
+    frozen: dict[str, Any] = dict(figures["frozen"]) if "frozen" in figures else {"choice": float(figures["lam"])}
     if "noise" in figures:
         frozen["noise"] = dict(figures["noise"])
         frozen |= {"noise_source": "quiet"} if "noise_source" in known(asked.job.family) else {}
@@ -263,10 +280,9 @@ def precomputed(asked: Asked) -> Outcome:
     begun = time.process_time()
     e = job.estimate(**frozen)
     spent = time.process_time() - begun
-    text = resolved({**job.job, "output": None, "report": None, "plot": None, "family": job.family, **frozen},
-                    asked.folder.resolve())  # fmt: skip
-    made = {asked.folder / f"{asked.stem}.frozen.toml": text.encode()}
-    figures: dict[str, Any] = {"lam": frozen["choice"], "frozen_job": f"{asked.stem}.frozen.toml"}
+    made = {asked.folder / f"{asked.stem}.frozen.toml": job.frozen_text(frozen, asked.folder.resolve()).encode()}
+    figures: dict[str, Any] = {"frozen_job": f"{asked.stem}.frozen.toml"}
+    figures |= {"lam": frozen["choice"]} if "choice" in frozen else {"variance": frozen["variance"]}
     if job.family == "static":
         inverse = _frozen_inverse(job, frozen)
         readings = np.atleast_2d(np.asarray(e.response, float))[:64]
@@ -285,10 +301,11 @@ def precomputed(asked: Asked) -> Outcome:
             f"{said}, {1e6 * each:.3g} us; differs from the estimate by {off:.1e}", figures, (), off < 1e-6, made
         )
     duration = job.responses(job.log).duration if not isinstance(job.log, Mapping) else 0.0
-    unfrozen = found_by_rule(job, **{name: value for name, value in frozen.items() if name != "choice"}).load
+    unfrozen = found_by_rule(job, **{name: frozen[name] for name in ("noise", "noise_source") if name in frozen}).load
     off = float(np.linalg.norm(e.load - unfrozen) / max(float(np.linalg.norm(unfrozen)), 1e-300))
     figures |= {"cpu_seconds": spent, "seconds_of_record": duration, "differs_by": off}
-    said = (f"no matrix stands for a history: {duration:.4g} s of record in {spent:.3g} s of CPU at the frozen lambda; "
+    how = "at the frozen lambda" if "choice" in frozen else "with a variance that it learns"
+    said = (f"no matrix stands for a history: {duration:.4g} s of record in {spent:.3g} s of CPU {how}; "
             f"differs from the load of step 7 by {100 * off:.2g} %")  # fmt: skip
     return Outcome(said, figures, (), True, made)
 

@@ -14,9 +14,8 @@ from typing import Any
 from structures.errors import InputError
 from structures.files import _storage as storage
 
-from .. import __version__
+from .. import __version__, _toml
 from .._commands._job import FILES
-from .._commands._job import read as read_job
 from .._commands._job import resolved as job_text
 from .._stream.output import StateLock
 from . import ledger as ledgers
@@ -103,11 +102,11 @@ class Guide:
                              expected="a job without one", hint=f"loadid guide status --job {place.name}")  # fmt: skip
         if log is not None or model is not None:
             _write_job(place, log, model)
-        from .context import require_lambda
+        from .context import require_frozen
 
         found = _settled(place)
         if found.get("family", "auto") != "auto":
-            require_lambda(found["family"])
+            require_frozen(found["family"])
         words = {name: value for name, value in (about or {}).items() if value}
         for name, value in words.items():
             _short(value, name)
@@ -203,7 +202,7 @@ class Guide:
             A step that is locked; evidence that is missing or does not fit; another process that signs; from the
             families. Nothing is written then.
         """
-        from .context import GuidedJob, Reading
+        from .context import Reading, kind_of
         from .figures import compute
         from .models import certificate
         from .outcome import Asked, tidied
@@ -226,7 +225,7 @@ class Guide:
                 )
             stood = files_of(number, now.job, now.folder)
             known = certificate(latest[VERIFY]) if VERIFY in latest and number > VERIFY else None
-            job = GuidedJob(now.job, Reading(dict(reading or {}), record, tuple(truth)), known)
+            job = kind_of(now.job)(now.job, Reading(dict(reading or {}), record, tuple(truth)), known)
             if progress is not None:
                 progress(0.1, one.title)
             stem = self.path.name.removesuffix(SUFFIX)
@@ -283,16 +282,14 @@ def _only_one() -> Path:
 
 def _settled(path: Path) -> dict[str, Any]:
     """A job that names its model and its log."""
-    found = read_job(path)
+    tree = _toml.read(path, "job")
     for name in FILES:
-        if name not in found:
+        if name not in tree:
             raise InputError(f"the job names no {name}", where=str(path), expected=f'{name} = "FILE"',
                              hint="add the line")  # fmt: skip
-    if Path(found["model"]).suffix.lower() == ".toml":
-        raise InputError("the model of a job is a file of a forward model", where=str(path),
-                         found=Path(found["model"]).name, expected="a model file (.h5) or FRFs",
-                         hint="the guide does not take gel pads: loadid tactile reads pad.toml")  # fmt: skip
-    return found
+    from .context import kind_of
+
+    return kind_of(tree).read(path)
 
 
 def _write_job(path: Path, log: str | None, model: str | None) -> None:

@@ -29,7 +29,7 @@ def characterised(asked: Asked) -> Outcome:
                          expected="what the numbers of the model come from: a test report, a data sheet, a modal test",
                          hint="loadid guide sign 1 --evidence FILE...")  # fmt: skip
     model = asked.job.model
-    figures: dict[str, Any] = {"model": type(model).__name__, "fingerprint": model.fingerprint}
+    figures: dict[str, Any] = {"model": type(model).__name__, "fingerprint": model.fingerprint, **asked.job.described()}
     modes = model.natural_frequencies
     said = f"{type(model).__name__} of {_count(len(model.sensors), 'sensor')} and {_count(len(model.loads), 'load')}"
     if modes is not None and len(modes):

@@ -60,10 +60,8 @@ class Asked:
 
     @property
     def records(self) -> list[Path]:
-        """Evidence that is a log: what a reader knows by its suffix; anything else is attached as it is."""
-        from .._readers.source import known_suffixes
-
-        return [path for path in self.evidence if path.suffix.lower() in known_suffixes()]
+        """Evidence that is a log."""
+        return self.job.records(self.evidence)
 
     def one_record(self, number: int, what: str) -> list[Path]:
         """The records, at least one.

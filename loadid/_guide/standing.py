@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from structures.errors import InputError
 from .._commands._job import FILES, OUTPUTS, written
 from .ledger import Ledger, Signature, hashed
 from .recipe import FREEZE, INVERSE, VERIFY, step
+
+BESIDE = {"log": ("depth",)}  # files that go with one of a job, where it names them
 
 
 def relative(path: str | os.PathLike[str], folder: Path) -> str:
@@ -22,10 +24,16 @@ def relative(path: str | os.PathLike[str], folder: Path) -> str:
 def settings_of(number: int, job: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """What of a job a step stands on: the names of its files, and its settings where it needs them."""
     stands = step(number).stands_on
-    found = {name: relative(job[name], folder) for name in FILES if name in stands and name in job}
+    files = [one for name in FILES for one in (name, *BESIDE.get(name, ()))]
+    found = {one: relative(job[one], folder) for one in _stood_on(stands) if one in job}
     if "settings" in stands:
-        found |= {name: _plain(value) for name, value in job.items() if name not in (*FILES, *OUTPUTS, "truth")}
+        found |= {name: _plain(value) for name, value in job.items() if name not in (*files, *OUTPUTS, "truth")}
     return found
+
+
+def _stood_on(stands: Sequence[str]) -> list[str]:
+    """Names of files of a job on which a step stands."""
+    return [one for name in FILES if name in stands for one in (name, *BESIDE.get(name, ()))]
 
 
 def files_of(number: int, job: Mapping[str, Any], folder: Path) -> dict[str, str]:
@@ -37,8 +45,8 @@ def files_of(number: int, job: Mapping[str, Any], folder: Path) -> dict[str, str
         The job names none, or it is not there: nothing can be signed.
     """
     found = {}
-    for name in FILES:
-        if name not in step(number).stands_on:
+    for name in _stood_on(step(number).stands_on):
+        if name not in job and name not in FILES:
             continue
         if name not in job:
             raise InputError(

@@ -14,11 +14,9 @@ from structures.errors import InputError, digests
 
 from .. import _guards as guards
 from ..validate import Known, ReferenceWrench, Validation, held_out, validate
-from .context import AMPLITUDES, SUM, GuidedJob
+from .context import AMPLITUDES, GuidedJob
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from .._record import Record
     from .._results.estimate import LoadEstimate
 
@@ -46,7 +44,7 @@ def validated(job: GuidedJob, paths: Sequence[Path], frozen: Mapping[str, Any]) 
                 where=path.name,
                 found=f"channels {', '.join(record.labels)}",
                 expected=f"channels named as loads ({', '.join(c.label for c in job.model.loads[:6])}) or as "
-                f"resultants ({', '.join(_weights(job))})",
+                f"resultants ({', '.join(job.resultants())})",
                 hint="name the channels with --truth CH,..., or keep sensors out with validation in the job",
             )
         found = validate(e, *references)
@@ -71,7 +69,7 @@ def _open(flags: Sequence[Flag], checks: Sequence[Any]) -> tuple[Flag, ...]:
 
 def _references(job: GuidedJob, record: Record, e: LoadEstimate) -> Sequence[Any]:
     source, found = record.name or record.source, list[Any]()
-    load, weights = job.loads(record), _weights(job)
+    load, weights = job.loads(record), job.resultants()
     rows = len(np.atleast_2d(e.load)) if e.load.ndim == 2 else 1
     if load is not None:
         known = load[:rows] if e.load.ndim == 2 else load.mean(axis=0)
@@ -93,11 +91,3 @@ def _references(job: GuidedJob, record: Record, e: LoadEstimate) -> Sequence[Any
         model = job.model.with_sensors([labels.index(one) for one in kept])
         found.append(held_out(e, model, job.responses(record)))
     return found
-
-
-def _weights(job: GuidedJob) -> dict[str, NDArray[np.float64]]:
-    """Resultants of the loads, by name: those of their basis, else the sum of loads of one unit."""
-    model = job.model
-    if model.basis is not None:
-        return dict(zip(model.basis.resultant_labels, np.asarray(model.basis.resultant(), float), strict=True))
-    return {SUM: np.ones(len(model.loads))} if len({c.unit for c in model.loads}) == 1 else {}

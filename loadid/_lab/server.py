@@ -27,7 +27,7 @@ from structures._threads import one_thread
 from structures.errors import InputError, NotIdentifiable
 
 from .._loopback import LOCAL, LoopbackHandler, LoopbackServer
-from .._page import STYLE, environment, text
+from .._page import STYLE, TICKS, environment, text
 from .contract import BODY, Call, Download, Page, script
 
 TOKEN, PARAMETERS, NAME = "X-Lab-Token", "X-Lab-Parameters", "X-Lab-File"
@@ -73,7 +73,10 @@ class Lab:
     def __init__(self, pages: Iterable[Page], port: int = 0) -> None:
         self.pages = {page.name: page for page in pages}
         self.token = secrets.token_urlsafe(24)
-        self.shared = {"lab.js": (SCRIPT, _own("lab.js")), "lab.css": (CSS, text(STYLE).encode() + _own("lab.css"))}
+        self.shared = {
+            "lab.js": (SCRIPT, text(TICKS).encode() + _own("lab.js")),
+            "lab.css": (CSS, text(STYLE).encode() + _own("lab.css")),
+        }
         self.http = LoopbackServer(port, type("LabHandler", (_LabHandler,), {"lab": self}))
         self.address = f"{self.http.address}/?token={self.token}"
 

@@ -43,7 +43,7 @@ class Shown:
             "path": str(e.facts.get("path") or ""), "sweep": None if choice is None else _sweep(e),
             "picard": _picard(e), "range": _range(e), "lacks": lacks(e),
             "lam": None if choice is None else choice.lam, "single": e.axis is None,
-            "axis": None if e.axis is None else f"{e.axis.name} {e.axis.unit}".strip(),
+            "axis": None if e.axis is None else f"{e.axis.name} {e.axis.unit}".strip(), "x": self._drawn(0.0, 0)["x"],
         }  # fmt: skip
 
     def at(self, lam: float) -> dict[str, Any]:
@@ -59,12 +59,14 @@ class Shown:
     def picture(self, lam: float, load: int) -> dict[str, Any]:
         """A load with its band at a lambda, 0 for the estimate as it was found, and where it lies on the L-curve.
 
+        Over the axis that `found` gives: no lambda changes it.
+
         Raises
         ------
         InputError
             No such lambda or load.
         """
-        return self._drawn(lam, load)
+        return {name: one for name, one in self._drawn(lam, load).items() if name != "x"}
 
     def save(self, lam: float) -> Download:
         """The result file at a lambda, 0 for the estimate as it was found."""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Html = NewType("Html", str)  # a piece of a page, escaped; plain text is escaped where it is put in
 
 CHARTS, TABLES = "charts.js", "tables.js"  # scripts: of pages with charts, of pages with tables to sort
+TICKS = "ticks.js"  # what the scripts of all charts begin with
 STYLE = "page.css"
 
 
@@ -80,6 +81,11 @@ def text(name: str) -> str:
     return files("loadid._page").joinpath("templates", name).read_text(encoding="utf-8")
 
 
+def code_of(script: str) -> str:
+    """The script of a page, with what it shares with others."""
+    return text(TICKS) + text(script) if script == CHARTS else text(script)
+
+
 def part(name: str, *given: Any, **settings: Any) -> Html:
     """A piece of a page by its macro in ``parts.html``."""
     found: Html = getattr(environment().get_template("parts.html").module, name)(*given, **settings)
@@ -130,7 +136,7 @@ def document(
     wide : bool
         Whether tables need the whole screen.
     """
-    code, look, kept = text(script), text(STYLE), [section for section in sections if section.body.strip()]
+    code, look, kept = code_of(script), text(STYLE), [section for section in sections if section.body.strip()]
     return environment().get_template("page.html").render(
         title=title, about=about, note=note, answer=answer, sections=kept, style=look, script=code,
         style_hash=_hash(look), script_hash=_hash(code), wide=wide,

@@ -140,6 +140,8 @@ def ticks(low: float, high: float, *, log: bool = False, most: int = 6) -> list[
         return found if len(found) > 1 else ticks(low, high, most=most)
     size = 10.0 ** math.floor(math.log10((high - low) / most))
     step = next(m * size for m in (1, 2, 5, 10) if (high - low) / (m * size) <= most)
+    if math.floor(high / step) <= math.ceil(low / step):  # one number tells no scale
+        step /= 2
     return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 

@@ -7,21 +7,23 @@ from typing import Any
 from loadid._lab.contract import Call, OnOff, Page, Real, rounded
 
 MOST = 60.0  # times the noise of the camera
-STILL = {
-    "detect": ("dots", "found", "markers"), "match": ("rest", "motion", "lost", "largest", "pitch"),
-    "interpolate": ("nodes",), "correct": ("points",), "normal": ("x", "fine", "truth"),
-    "map": ("x", "y", "nodes", "true_pressure", "true_shear", "true_force"),
-}  # fmt: skip
+DIGITS = 4
+SWITCHES = {name: OnOff() for name in ("vanish", "naive", "ignored", "uncorrected", "wrong")}
 
 
-def _walk(known: bool, **given: Any) -> dict[str, Any]:
-    """All six steps; where the page holds an answer to the same dots and eye, without what is `STILL` so."""
-    from .walk import Steps, walk
+def _steps(**given: bool) -> dict[str, Any]:
+    """Steps 1 to 5, and the map after each: the later ones done rightly, at the noise of the camera."""
+    from .walk import Steps, shown
 
-    found = walk(Steps(**given))
-    for step, names in STILL.items() if known else ():
-        found[step] = {name: value for name, value in found[step].items() if name not in names}
-    answer: dict[str, Any] = rounded(found, 5)
+    answer: dict[str, Any] = rounded(shown(Steps(**given)), DIGITS)
+    return answer
+
+
+def _solve(**given: Any) -> dict[str, Any]:
+    """Step 6, behind the others as they are done."""
+    from .walk import Steps, solved
+
+    answer: dict[str, Any] = rounded(solved(Steps(**given)), DIGITS)
     return answer
 
 
@@ -38,14 +40,8 @@ page = Page(
     "tactile._lab",
     "files/gelpad.html",
     {
-        "walk": Call(
-            _walk,
-            {
-                **{name: OnOff() for name in ("vanish", "naive", "ignored", "uncorrected", "wrong", "ridge")},
-                "noise": Real(1.0, MOST),
-                "known": OnOff(),
-            },
-        ),
+        "steps": Call(_steps, SWITCHES),
+        "solve": Call(_solve, {**SWITCHES, "ridge": OnOff(), "noise": Real(1.0, MOST)}),
         "picture": Call(_picture, {"vanish": OnOff(), "rest": OnOff()}),
     },
 )

@@ -30,6 +30,7 @@ RIM = (0.9, 1.25)  # of the contact, over its radius, where a few dots are alway
 HIDDEN = 2
 LEFT = 3e-6  # m, what this mesh and the shape of the indenter leave of the motion; stated beside the noise
 NORMAL95 = 1.959963984540054
+SWITCHES = ("vanish", "naive", "ignored", "uncorrected", "wrong")  # of the first five steps, in their order
 WRONG = 0.5  # radius of the indenter that is not the one, over that of the ball
 
 
@@ -208,34 +209,44 @@ class Completed:
 
 
 @cache
-def sensor(blind: bool, noise: float) -> GelSlim:
+def sensor(blind: bool) -> GelSlim:
     """F = K U of this pad; an eye that knows no rays has no slopes to correct by."""
     from tactile import GelSlim, Markers
 
     sight = eye(blind)
-    return GelSlim(rig().pad, Markers(sight.markers, noise * sight.noise, slope=sight.slope), allow=sight_allows(blind))
+    markers = Markers(sight.markers, sight.noise, slope=sight.slope)
+    return GelSlim(rig().pad, markers, allow=("E603",) if blind else ())
 
 
-def sight_allows(blind: bool) -> tuple[str, ...]:
-    """What had to be allowed of an eye that knows no rays."""
-    return ("E603",) if blind else ()
+@cache
+def rows(blind: bool) -> Any:
+    """Motion of the markers (3 N,) from that of the nodes (3 P,)."""
+    return rig().pad.from_surface(sensor(blind).markers.points)
+
+
+@cache
+def interpolated(vanish: bool, naive: bool) -> Interpolation:
+    """Markers that are seen, to nodes."""
+    from tactile import Interpolation
+
+    seen = np.isfinite(apparent(vanish, naive, 1.0))
+    return Interpolation(np.where(seen, eye(False).markers, np.nan), rig().pad.nodes2d, "local")
 
 
 @lru_cache(64)
 def completed(vanish: bool, naive: bool, noise: float, uncorrected: bool, wrong: bool) -> Completed:
     """The product with the stiffness, and the motion that it rests on."""
-    from tactile import Interpolation, Sphere
+    from tactile import Sphere
 
     r, seen = rig(), apparent(vanish, naive, noise)
     ball = Sphere(radius=WRONG * BALL, depth=r.ball.depth, at=AT) if wrong else r.ball
-    slim = sensor(uncorrected, noise)
+    slim = sensor(uncorrected).with_noise(noise * eye(uncorrected).noise)
     found = slim.estimate(seen, indenter=ball)
-    nodes = r.pad.displacements(found.forces()).reshape(-1, 3)
-    z = np.asarray(r.pad.from_surface(slim.markers.points) @ nodes.ravel()).reshape(-1, 3)[:, 2]
+    nodes = r.pad.displacements(found.forces())
+    z = np.asarray(rows(uncorrected) @ nodes.ravel()).reshape(-1, 3)[:, 2]
     slope = slim.markers.slope
     corrected = seen if slope is None else seen - slope * z[:, None]
-    there = np.where(np.isfinite(seen), slim.markers.points[:, :2], np.nan)
-    return Completed(found, Interpolation(there, r.pad.nodes2d, "local"), ball, nodes, corrected)
+    return Completed(found, interpolated(vanish, naive), ball, nodes, corrected)
 
 
 # -- 6 multiply or invert ----------------------------------------------------------------------------------------------
@@ -275,31 +286,57 @@ def _known(made: Completed) -> tuple[Array, Array, Array]:
 
 
 # -- what is shown -----------------------------------------------------------------------------------------------------
-def walk(steps: Steps) -> dict[str, Any]:
-    """All six steps with what goes in and what comes out, the map, its two errors and every flag; mm, px, kPa, N."""
+def shown(steps: Steps) -> dict[str, Any]:
+    """The first five steps: what goes in, what comes out, and after each the map of it; mm, px, um, kPa, N."""
+    from dataclasses import asdict
+
     from loadid._lab.shown import flags_of
 
-    r, sight = rig(), eye(steps.uncorrected)
+    given, after = asdict(steps), []
+    for k in range(1, len(SWITCHES) + 1):
+        done = Steps(**{name: given[name] for name in SWITCHES[:k]})
+        found, raised = answered(done)
+        after.append({**_map(found), "flags": flags_of(raised)})
     found = matched(steps.vanish, steps.naive)
-    seen = apparent(steps.vanish, steps.naive, steps.noise)
-    made = completed(steps.vanish, steps.naive, steps.noise, steps.uncorrected, steps.wrong)
-    given, flags = made.map, [*found.flags, *(f for f in sight.flags if f), *made.map.flags]
-    if steps.ridge:
-        given = ridged(steps.vanish, steps.naive, steps.noise, steps.uncorrected, steps.wrong, steps.ignored)
-        flags = [*found.flags, *(f for f in sight.flags if f), made.field.correlated, *given.flags]
-    forces = np.asarray(given.load).reshape(-1, 3)
+    seen = apparent(steps.vanish, steps.naive, 1.0)
+    made = completed(steps.vanish, steps.naive, 1.0, steps.uncorrected, steps.wrong)
+    rest, many = eye(False).tracker, len(dots(steps.vanish))
     return {
-        "detect": {"dots": dots(steps.vanish), "found": len(dots(steps.vanish)), "markers": len(r.markers)},
-        "match": {"rest": eye(False).tracker.points, "motion": found.motion, "lost": found.lost,
-                  "largest": float(np.nanmax(np.hypot(*found.motion.T))), "pitch": eye(False).tracker.pitch},
+        "detect": {"dots": dots(steps.vanish), "found": many, "markers": len(rig().markers)},
+        "match": {"rest": rest.points, "motion": found.motion, "lost": found.lost,
+                  "largest": float(np.nanmax(np.hypot(*found.motion.T))), "pitch": rest.pitch},
         "interpolate": _interpolated(made, seen, steps),
-        "correct": {"points": 1e3 * sight.markers, "before": 1e3 * seen, "after": 1e3 * made.corrected,
+        "correct": {"points": 1e3 * eye(False).markers, "before": 1e3 * seen, "after": 1e3 * made.corrected,
                     **_tangential(made, seen)},
         "normal": _normal(made),
-        "solve": _solved(given, steps),
-        "map": _map(forces),
-        "flags": flags_of({flag.code: flag for flag in flags if flag is not None}.values()),  # each code once
+        "after": after,
+        "truth": _truth(),
     }  # fmt: skip
+
+
+def solved(steps: Steps) -> dict[str, Any]:
+    """The sixth step: the motion of the nodes that goes in, the map that comes out, and what is said of it."""
+    from loadid._lab.shown import flags_of
+
+    found, raised = answered(steps)
+    made = completed(steps.vanish, steps.naive, steps.noise, steps.uncorrected, steps.wrong)
+    choice, order = found.choice, _order()
+    return {
+        "motion": 1e3 * _moved(made.field, made.corrected), "noise": 1e6 * steps.noise * _jitter(),
+        "shear": 1e-3 * _tractions(found)[order, :2], **_map(found),
+        "lam": None if choice is None else choice.lam, "rule": None if choice is None else choice.rule,
+        "verdict": None if choice is None else choice.verdict, "flags": flags_of(raised),
+    }  # fmt: skip
+
+
+def answered(steps: Steps) -> tuple[LoadEstimate, list[Any]]:
+    """The answer of all six steps, and what was flagged on the way, each code once."""
+    how = (steps.vanish, steps.naive, steps.noise, steps.uncorrected, steps.wrong)
+    made, found = completed(*how), matched(steps.vanish, steps.naive)
+    seen = [*found.flags, *(flag for flag in eye(steps.uncorrected).flags if flag)]
+    given = ridged(*how, steps.ignored) if steps.ridge else made.map
+    raised = [*seen, *([made.field.correlated] if steps.ridge else []), *given.flags]
+    return given, list({flag.code: flag for flag in raised if flag is not None}.values())
 
 
 def errors(forces: Array) -> tuple[float, float]:
@@ -315,14 +352,17 @@ def errors(forces: Array) -> tuple[float, float]:
 
 
 def _interpolated(made: Completed, seen: Array, steps: Steps) -> dict[str, Any]:
-    field, moved = made.field, np.full((len(rig().pad.nodes2d), 2), np.nan)
-    there = np.isfinite(seen).all(axis=1)
-    moved[field.inside] = (field.W[:, there] @ seen[there])[field.inside]
+    field = made.field
     effective, rank = field.effective()
     return {
-        "nodes": 1e3 * rig().pad.nodes2d, "motion": 1e3 * moved, "inside": int(field.inside.sum()),
+        "nodes": 1e3 * rig().pad.nodes2d, "motion": 1e3 * _moved(field, seen), "inside": int(field.inside.sum()),
         "outside": int(np.sum(~field.inside)), "effective": effective, "rank": rank, "held": held(made, steps),
     }  # fmt: skip
+
+
+def _moved(field: Interpolation, motion: Array) -> Array:
+    """Motion of the nodes (P, 2) of that of the markers; NaN outside them."""
+    return np.where(field.inside[:, None], field.W[:, field.used] @ motion[field.used], np.nan)
 
 
 def held(made: Completed, steps: Steps) -> float:
@@ -334,7 +374,7 @@ def held(made: Completed, steps: Steps) -> float:
         return 0.95
     from scipy.special import erf
 
-    slim, W = sensor(steps.uncorrected, steps.noise), made.field.W
+    slim, W = sensor(steps.uncorrected), made.field.W
     noise2 = slim.markers.noise**2
     alone = np.zeros((len(rig().pad.nodes2d), 3))
     alone[:, :2] = W.power(2) @ noise2
@@ -370,38 +410,44 @@ def _normal(made: Completed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _solved(given: Any, steps: Steps) -> dict[str, Any]:
-    choice = given.choice
-    return {
-        "how": "ridge" if steps.ridge else "F = K U",
-        "lam": None if choice is None else choice.lam, "rule": None if choice is None else choice.rule,
-        "verdict": None if choice is None else choice.verdict, "noise": 1e6 * steps.noise * _jitter(),
-    }  # fmt: skip
-
-
 def _jitter() -> float:
     """Noise of a marker as the unloaded frames show it, m."""
     return float(np.sqrt(np.median(eye(False).noise ** 2)))
 
 
-def _map(forces: Array) -> dict[str, Any]:
-    r = rig()
-    traction = forces / r.pad.surface.areas[:, None]
+def _tractions(found: LoadEstimate) -> Array:
+    """Of the nodes (P, 3), Pa."""
+    return np.asarray(np.asarray(found.load).reshape(-1, 3) / rig().pad.surface.areas[:, None])
+
+
+@cache
+def _order() -> Array:
+    """Nodes row by row, from below."""
+    nodes = rig().pad.nodes2d
+    return np.lexsort((nodes[:, 0], nodes[:, 1]))
+
+
+def _grid_of(values: Array) -> Array:
+    """Values of the nodes as rows and columns."""
+    columns = len(np.unique(np.round(rig().pad.nodes2d[:, 0], 9)))
+    return np.asarray(values[_order()]).reshape(-1, columns)
+
+
+def _map(found: LoadEstimate) -> dict[str, Any]:
+    """The map of pressure, and its two errors."""
+    forces = np.asarray(found.load).reshape(-1, 3)
     total, spread = errors(forces)
-    nodes = r.pad.nodes2d
-    order = np.lexsort((nodes[:, 0], nodes[:, 1]))
-    shape = (len(np.unique(np.round(nodes[:, 1], 9))), len(np.unique(np.round(nodes[:, 0], 9))))
+    return {"pressure": _grid_of(-1e-3 * _tractions(found)[:, 2]), "force": forces.sum(axis=0),
+            "resultant_error": total, "map_error": spread}  # fmt: skip
 
-    def grid(values: Array) -> Array:
-        return np.asarray(values[order]).reshape(shape)
 
+def _truth() -> dict[str, Any]:
+    r = rig()
+    low, high = 1e3 * (r.pad.nodes2d.min(axis=0) - CELL / 2), 1e3 * (r.pad.nodes2d.max(axis=0) + CELL / 2)
     return {
-        "x": 1e3 * np.array([nodes[:, 0].min() - CELL / 2, nodes[:, 0].max() + CELL / 2]),
-        "y": 1e3 * np.array([nodes[:, 1].min() - CELL / 2, nodes[:, 1].max() + CELL / 2]),
-        "pressure": grid(-1e-3 * traction[:, 2]), "true_pressure": grid(-1e-3 * r.truth[:, 2]),
-        "nodes": 1e3 * nodes[order], "shear": 1e-3 * traction[order, :2], "true_shear": 1e-3 * r.truth[order, :2],
-        "force": forces.sum(axis=0), "true_force": np.array(r.press.vector),
-        "resultant_error": total, "map_error": spread,
+        "x": [low[0], high[0]], "y": [low[1], high[1]], "nodes": 1e3 * r.pad.nodes2d[_order()],
+        "pressure": _grid_of(-1e-3 * r.truth[:, 2]), "shear": 1e-3 * r.truth[_order(), :2],
+        "force": np.array(r.press.vector),
     }  # fmt: skip
 
 

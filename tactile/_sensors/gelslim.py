@@ -8,6 +8,7 @@ markers do not reach is taken to be free of load, never extrapolated.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -108,6 +109,33 @@ class GelSlim(MarkedSensor):
 
     def __repr__(self) -> str:
         return f"<GelSlim: {len(self.markers)} markers, {self.pad!r}>"
+
+    def with_noise(self, noise: ArrayLike) -> GelSlim:
+        """The sensor with another noise of its markers; what does not depend on it is shared, not made again.
+
+        Its strain is watched over its own frames.
+
+        Parameters
+        ----------
+        noise : float or array
+            Std of the motion of the markers (m), as `Markers` takes it.
+
+        Returns
+        -------
+        GelSlim
+            Its forces are those of this sensor, their std follows the noise.
+
+        Raises
+        ------
+        InputError
+            A noise that does not fit the markers.
+        """
+        m = self.markers
+        _ = self._seen, self._at_markers, self._fingerprint  # the copy has them then
+        other = copy.copy(self)
+        other.markers = Markers(m.points, noise, axes=m.axes, slope=m.slope)
+        other._solver, other._strain = None, StrainWatch(self.pad)
+        return other
 
     # -- doing --------------------------------------------------------------------------------------------------------
     def estimate(

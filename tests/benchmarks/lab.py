@@ -21,7 +21,7 @@ import numpy as np
 from loadid._lab.pages import pages
 from loadid._lab.server import Lab
 from tests.browser import chromium
-from tests.lab_pages.client import asked
+from tests.lab_pages.client import requested
 from tests.lab_pages.fuzz import accepted, bodies
 
 SLIDERS = {"contact": ("lam", "t", "eta", "spacing"), "lcurve": ("lam",)}
@@ -104,7 +104,7 @@ def timed() -> None:
     )
     rows = [head]
     with Lab(pages()) as lab, chromium() as browser:
-        asked(lab, lab.address.removeprefix(lab.http.address))
+        requested(lab, lab.address.removeprefix(lab.http.address))
         for name in lab.pages:
             if name in SLIDERS or not any(call.upload for call in lab.pages[name].calls.values()):
                 rows += visited(browser, lab, name)
@@ -120,7 +120,7 @@ def fuzzed(count: int) -> None:
         line = http.client.HTTPConnection("127.0.0.1", lab.http.server_address[1], timeout=120)
         for one in bodies(lab, count, seed=0):
             codes[accepted(lab, line, *one)] += 1
-        alive = asked(lab, lab.address.removeprefix(lab.http.address))[0]
+        alive = requested(lab, lab.address.removeprefix(lab.http.address))[0]
         print(f"{count} bodies in {time.perf_counter() - begin:.0f} s: {dict(codes)}; then the list of pages: {alive}")
 
 

@@ -5,101 +5,24 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from loadid._lab.pages import pages
 from loadid._lab.server import Lab
-from tests.browser import chromium
+
+from .visited import READY, Visit, wait
 
 OWN = ("contact", "lcurve", "cards")
-READY = "document.documentElement.dataset.drawn >= 1"
-SERIOUS = ("serious", "critical")
-
-
-@pytest.fixture(scope="module")
-def lab() -> Iterator[Lab]:
-    with Lab(pages()) as server:
-        yield server
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as found:
-        yield found
-
-
-def wait(page: Any, expression: str, seconds: float = 30) -> None:
-    """Until it is true; asked from outside, as the policy of the page lets no text be run in it."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(expression):
-        assert time.monotonic() < end, expression
-        time.sleep(0.01)
-
-
-class Visit:
-    """A page of the lab in a window, and what went wrong or over the wire meanwhile."""
-
-    def __init__(self, lab: Lab, browser: Any, name: str, **settings: Any) -> None:
-        self.lab, self.wrong, self.bytes = lab, [], 0
-        self.context = browser.new_context(**{"viewport": {"width": 1200, "height": 900}, **settings})
-        self.page = self.context.new_page()
-        self.page.on("console", lambda m: self.wrong.append(m.text) if m.type in ("error", "warning") else None)
-        self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
-        self.page.on("request", self._asked)
-        self.page.on("requestfinished", self._weighed)
-        self.page.goto(lab.page(name) if name else lab.address)
-        if name:
-            wait(self.page, READY)
-
-    def _asked(self, request: Any) -> None:
-        if not request.url.startswith((self.lab.http.address + "/", "data:")):
-            self.wrong.append(f"asks {request.url}")
-
-    def _weighed(self, request: Any) -> None:
-        sizes = request.sizes() if request.url.startswith("http") else {}
-        self.bytes += sum(sizes.get(k, 0) for k in ("responseBodySize", "responseHeadersSize", "requestBodySize",
-                                                    "requestHeadersSize"))  # fmt: skip
-
-    def again(self, action: Callable[[], Any]) -> None:
-        """An action, and the picture after it."""
-        before = self.page.evaluate("Number(document.documentElement.dataset.drawn)")
-        action()
-        wait(self.page, f"document.documentElement.dataset.drawn > {before}")
-
-    def text(self, selector: str) -> str:
-        return str(self.page.inner_text(selector))
-
-    def number(self, name: str) -> str:
-        """Readout of that name."""
-        return str(self.page.locator("dl.numbers > div", has_text=name).first.locator("dd").inner_text())
-
-    def close(self) -> None:
-        self.context.close()
-        assert self.wrong == []
-
-
-@pytest.fixture
-def visit(lab: Lab, browser: Any) -> Iterator[Callable[..., Visit]]:
-    """Open pages; at the end of the test nothing may have gone wrong on any of them."""
-    opened: list[Visit] = []
-
-    def open_(name: str, **settings: Any) -> Visit:
-        opened.append(Visit(lab, browser, name, **settings))
-        return opened[-1]
-
-    yield open_
-    for one in opened:
-        one.close()
 
 
 # -- for everybody -----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", OWN)
 def test_a_page_fits_a_phone_and_the_dark(visit: Callable[..., Visit], name: str) -> None:
     found = visit(name, viewport={"width": 320, "height": 640}, color_scheme="dark", reduced_motion="reduce")
-    assert found.page.evaluate("document.documentElement.scrollWidth") <= 320
+    assert found.width <= 320
     assert found.page.locator("#old").count() == 0
     ink, paper = found.page.evaluate(
         "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
@@ -111,7 +34,6 @@ def test_a_page_fits_a_phone_and_the_dark(visit: Callable[..., Visit], name: str
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("name", OWN)
 def test_axe_finds_nothing_serious(visit: Callable[..., Visit], name: str, scheme: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     found = visit(name, color_scheme=scheme)
     if name == "contact":
         found.page.click("[data-which='4']")
@@ -119,8 +41,7 @@ def test_axe_finds_nothing_serious(visit: Callable[..., Visit], name: str, schem
     elif name == "cards":
         found.page.click("#turn")
         found.page.wait_for_selector("#answer:not([hidden])")
-    told = axe.Axe().run(found.page).response["violations"]
-    assert [(v["id"], [n["target"] for n in v["nodes"]][:3]) for v in told if v["impact"] in SERIOUS] == []
+    assert found.serious() == []
 
 
 def test_the_list_of_pages_leads_to_each(visit: Callable[..., Visit]) -> None:
@@ -242,7 +163,7 @@ def test_colour_is_not_the_only_carrier(visit: Callable[..., Visit]) -> None:
 # -- when things go wrong ----------------------------------------------------------------------------------------------
 def test_a_refusal_and_a_dead_server_are_told_on_the_page(browser: Any) -> None:
     lab = Lab(pages()).start()
-    found = Visit(lab, browser, "contact")
+    found = Visit(browser, lab.page("contact"))
     found.page.evaluate("document.querySelector('#t').max = 9; document.querySelector('#t').value = 9")
     found.again(lambda: found.page.dispatch_event("#t", "input"))
     assert "out of range" in found.text("#fault")
@@ -256,31 +177,31 @@ def test_a_refusal_and_a_dead_server_are_told_on_the_page(browser: Any) -> None:
     found.context.close()
 
 
-def test_without_javascript_the_page_says_what_it_needs(lab: Lab, browser: Any) -> None:
+def test_without_javascript_the_page_says_what_it_needs(served: Lab, browser: Any) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
-    page.goto(lab.page("contact"))
+    page.goto(served.page("contact"))
     assert "need JavaScript" in page.inner_text("noscript")
     context.close()
 
 
-def test_a_browser_that_cannot_run_the_script_is_told_so(lab: Lab, browser: Any) -> None:
+def test_a_browser_that_cannot_run_the_script_is_told_so(served: Lab, browser: Any) -> None:
     context = browser.new_context(reduced_motion="reduce")
     page = context.new_page()
     page.route("**/lab.js", lambda route: route.abort())
-    page.goto(lab.page("contact"))
+    page.goto(served.page("contact"))
     page.wait_for_selector("#old", state="visible", timeout=20_000)
     assert "2021 or later" in page.inner_text("#old")
     context.close()
 
 
-def test_a_page_says_that_it_is_computing(lab: Lab, browser: Any) -> None:
+def test_a_page_says_that_it_is_computing(served: Lab, browser: Any) -> None:
     """While an answer takes more than a moment, and no longer."""
     context = browser.new_context()
     page = context.new_page()
     held: list[Any] = []
     page.route("**/contact/picture", lambda route: held.append(route))
-    page.goto(lab.page("contact"))
+    page.goto(served.page("contact"))
     page.wait_for_selector("#working:has-text('computing')")
     held[0].continue_()
     wait(page, READY)

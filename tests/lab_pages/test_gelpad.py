@@ -11,15 +11,18 @@ import pytest
 
 from loadid._lab.server import Lab
 from tactile import Layer
-from tactile._lab.gelpad import STILL, page
-from tactile._lab.walk import AT, Steps, apparent, completed, eye, ridged, rig, walk
+from tactile._lab.gelpad import page
+from tactile._lab.walk import AT, SWITCHES, Steps, apparent, completed, eye, ridged, rig, shown, solved
 
-from .asked import asked
+from .client import asked, called
 
 
 def told(**given: Any) -> tuple[float, float, set[str], dict[str, Any]]:
-    found = walk(Steps(**given))
-    return (found["map"]["resultant_error"], found["map"]["map_error"], {f["code"] for f in found["flags"]}, found)
+    """The two errors, the codes, and all that is shown."""
+    steps = Steps(**given)
+    found = shown(steps) | {"solve": solved(steps)}
+    last = found["solve"]
+    return last["resultant_error"], last["map_error"], {f["code"] for f in last["flags"]}, found
 
 
 def test_done_right_the_map_is_that_of_the_press() -> None:
@@ -65,7 +68,7 @@ def test_motion_that_is_not_corrected_is_read_as_shear_and_refused_unless_allowe
     assert "E603" in codes
     assert right[3]["correct"]["off_after"] < 0.2 * right[3]["correct"]["off_before"]
     assert found["correct"]["off_after"] == found["correct"]["off_before"]
-    shear = np.array(found["map"]["force"][:2]) - np.array(right[3]["map"]["force"][:2])
+    shear = np.array(found["solve"]["force"][:2]) - np.array(right[3]["solve"]["force"][:2])
     assert abs(shear[0]) > 3 * abs(shear[1])  # along the tilt of the camera
 
 
@@ -77,11 +80,11 @@ def test_the_apparent_motion_is_what_the_optics_make_of_the_truth() -> None:
     assert np.nanmax(np.abs(off)) < 0.04 * np.abs(moved).max()
 
 
-def test_a_wrong_indenter_halves_the_force_and_nothing_is_flagged_but_that_it_was_completed() -> None:
+def test_a_wrong_indenter_halves_the_force_and_is_flagged_for_the_strain_that_it_makes() -> None:
     resultant, field, codes, _ = told(wrong=True)
     assert resultant > 4 * told()[0]
     assert field > 4 * told()[1]
-    assert codes == told()[2]
+    assert codes == told()[2] | {"W112"}  # nothing says that the ball is wrong
     assert {"W406", "W412"} <= told(wrong=True, ridge=True)[2]  # an inversion sees that its data contradict the model
 
 
@@ -126,33 +129,42 @@ def test_nothing_is_made_twice() -> None:
     assert ridged(*given, False) is ridged(*given, False)
 
 
-def test_what_the_page_holds_is_not_sent_again() -> None:
-    right = dict.fromkeys(("vanish", "naive", "ignored", "uncorrected", "wrong", "ridge"), False)
-    with Lab([page]) as lab:
-        first, whole, rest = (asked(lab, "gelpad/walk", **right, noise=noise, known=known)[1]
-                              for noise, known in ((1.0, False), (3.0, False), (3.0, True)))  # fmt: skip
-    for step, names in STILL.items():
-        for name in names:
-            assert name not in rest[step]
-            assert whole[step][name] == first[step][name]  # no noise changes it
-    joined = {step: {**first[step], **told} if step in STILL else told for step, told in rest.items()}
-    assert joined == whole
+def test_the_map_after_each_step_is_that_of_the_steps_so_far() -> None:
+    """The switches up to a step, all later ones right, in a whole walk of its own."""
+    wrong = dict.fromkeys(SWITCHES, True)
+    after, codes = shown(Steps(**wrong, noise=9.0, ridge=True))["after"], []
+    assert len(after) == len(SWITCHES)
+    for k, one in enumerate(after, 1):
+        resultant, field, raised, _ = told(**{name: wrong[name] for name in SWITCHES[:k]})
+        assert (one["resultant_error"], one["map_error"]) == (resultant, field)
+        codes.append({flag["code"] for flag in one["flags"]})
+        assert codes[-1] == raised
+    assert "W604" in codes[0]  # under the ball
+    assert "W604" not in codes[1]  # each got a dot
+    assert "E603" in codes[3] - codes[2]
+    assert after[4]["map_error"] != after[3]["map_error"]
+
+
+def test_what_is_said_does_not_hang_on_what_was_asked_before() -> None:
+    """Another watch over strains for each, so that no map is taken for the next frame of another."""
+    first = told(naive=True)[2]
+    completed.cache_clear()
+    told(vanish=True, noise=2.0)
+    assert told(naive=True)[2] == first
+    assert "W112" in first
 
 
 def test_the_page_answers_what_it_declares_and_refuses_the_rest() -> None:
-    right = {"vanish": False, "naive": False, "ignored": False, "uncorrected": False, "wrong": False, "ridge": False,
-             "noise": 1.0, "known": False}  # fmt: skip
+    right = dict.fromkeys(SWITCHES, False)
     with Lab([page]) as lab:
-        status, found = asked(lab, "gelpad/walk", **right)
-        assert status == 200
-        assert found["map"]["map_error"] == pytest.approx(told()[1], rel=1e-4)
+        found, last = called(lab, "gelpad/steps", **right), called(lab, "gelpad/solve", **right, ridge=False, noise=1.0)
+        assert last["map_error"] == pytest.approx(told()[1], rel=1e-3)
+        assert last["pressure"] == found["after"][-1]["pressure"]  # nothing is wrong
         assert found["match"]["motion"].count([None, None]) == 2
-        status, found = asked(lab, "gelpad/picture", vanish=False, rest=True)
-        assert status == 200
-        assert found["image"].startswith("data:image/png;base64,")
+        assert called(lab, "gelpad/picture", vanish=False, rest=True)["image"].startswith("data:image/png;base64,")
         for wrong in ({"noise": 0.5}, {"noise": 61}, {"noise": None}, {"noise": "1"}, {"vanish": 1}, {"wrong": "true"}):
-            status, found = asked(lab, "gelpad/walk", **{**right, **wrong})
+            status, refused = asked(lab, "gelpad/solve", **{**right, "ridge": False, "noise": 1.0, **wrong})
             assert status == 400
-            assert next(iter(wrong)) in found["error"]
-        assert asked(lab, "gelpad/walk", **right, more=1)[0] == 400
+            assert next(iter(wrong)) in refused["error"]
+        assert asked(lab, "gelpad/steps", **right, noise=1.0)[0] == 400
         assert asked(lab, "gelpad/picture", vanish=False)[0] == 400

@@ -44,7 +44,7 @@ def lab() -> Iterator[Lab]:
 
 
 def pictured(lab: Lab, **change: Any) -> Any:
-    return called(lab, "/contact/picture", {**BASE, **change})
+    return called(lab, "contact/picture", **BASE | change)
 
 
 # -- contact inversion: the picture, by another route ----------------------------------------------------------------
@@ -110,8 +110,8 @@ def test_every_method_answers_at_every_end_of_its_ranges(lab: Lab, method: str) 
 
 def test_rules_are_asked_of_the_data_and_not_of_the_method(lab: Lab) -> None:
     asked = {k: v for k, v in BASE.items() if k != "lam"}
-    free = called(lab, "/contact/rules", asked)
-    assert free == called(lab, "/contact/rules", {**asked, "method": "nonnegative"})
+    free = called(lab, "contact/rules", **asked)
+    assert free == called(lab, "contact/rules", **asked | {"method": "nonnegative"})
     told = {r["rule"]: r["lam"] for r in free["rules"]}
     y = np.array(pictured(lab)["readings"])
     U, s, _ = np.linalg.svd(kernel(0.1))
@@ -124,14 +124,14 @@ def test_rules_are_asked_of_the_data_and_not_of_the_method(lab: Lab) -> None:
 
 # -- try this ----------------------------------------------------------------------------------------------------------
 def test_1_exact_data_come_back_and_prove_nothing(lab: Lab) -> None:
-    found = called(lab, "/contact/tried", {"which": 1})
+    found = called(lab, "contact/tried", which=1)
     assert "proves nothing" in found["outcome"]
     assert pictured(lab, **found["steps"][0]["settings"])["map"] < 1e-9
     assert facts.exact()["error"] < 1e-9
 
 
 def test_2_noise_blows_the_naive_inverse_up(lab: Lab) -> None:
-    found = called(lab, "/contact/tried", {"which": 2})
+    found = called(lab, "contact/tried", which=2)
     stated = int(re.search(r"largest value is (\d+) times", found["outcome"])[1])  # type: ignore[index]
     assert stated == pytest.approx(2.0e3, rel=0.15)
     H, peak, rng = kernel(0.1), two().max(), np.random.default_rng(5)
@@ -143,7 +143,7 @@ def test_2_noise_blows_the_naive_inverse_up(lab: Lab) -> None:
 
 
 def test_3_a_thick_layer_leaves_fewer_decades_that_separate(lab: Lab) -> None:
-    found = called(lab, "/contact/tried", {"which": 3})
+    found = called(lab, "contact/tried", which=3)
     decades = [float(d) for d in re.search(r"grows: ([\d., ]+) decades", found["outcome"])[1].split(",")]  # type: ignore[index]
     assert decades == pytest.approx([2.1, 2.0, 1.6, 1.3, 1.0, 0.5], abs=0.11)
     assert "84 % of the true height" in found["outcome"]
@@ -157,7 +157,7 @@ def test_3_a_thick_layer_leaves_fewer_decades_that_separate(lab: Lab) -> None:
 
 
 def test_4_markers_lost_under_the_contact(lab: Lab) -> None:
-    found = called(lab, "/contact/tried", {"which": 4})
+    found = called(lab, "contact/tried", which=4)
     assert "rank falls from 48 to 30" in found["outcome"]
     assert "nullity rises from 0 to 18" in found["outcome"]
     assert "falls from 1.36e6 to 4.3e5" in found["outcome"]
@@ -170,7 +170,7 @@ def test_4_markers_lost_under_the_contact(lab: Lab) -> None:
 
 
 def test_5_a_right_resultant_and_a_wrong_map(lab: Lab) -> None:
-    found = called(lab, "/contact/tried", {"which": 5})
+    found = called(lab, "contact/tried", which=5)
     assert "71.5 % against 32.4 %" in found["outcome"]
     *moderate, top = (pictured(lab, **step["settings"]) for step in found["steps"])
     for one in moderate:
@@ -180,7 +180,7 @@ def test_5_a_right_resultant_and_a_wrong_map(lab: Lab) -> None:
 
 # -- L-curve and GCV ---------------------------------------------------------------------------------------------------
 def test_the_problem_is_the_one_of_the_text(lab: Lab) -> None:
-    found = called(lab, "/lcurve/curves", {"seed": 0, "correlated": False})
+    found = called(lab, "lcurve/curves", seed=0, correlated=False)
     assert len(found["lam"]) == 150
     assert (found["lam"][0], found["lam"][-1]) == (1e-6, 1)
     assert found["singular"] == pytest.approx([0.8146, 5.97e-7], rel=1e-4)
@@ -189,7 +189,7 @@ def test_the_problem_is_the_one_of_the_text(lab: Lab) -> None:
 
 @pytest.mark.parametrize("correlated", [False, True])
 def test_curves_and_reconstruction_by_another_route(lab: Lab, correlated: bool) -> None:
-    found = called(lab, "/lcurve/curves", {"seed": 3, "correlated": correlated})
+    found = called(lab, "lcurve/curves", seed=3, correlated=correlated)
     H, y = kernel(0.1), lcurve.readings(3, correlated)
     U, s, Vt = np.linalg.svd(H)
     beta, errors, gcv = U.T @ y, [], []
@@ -205,13 +205,13 @@ def test_curves_and_reconstruction_by_another_route(lab: Lab, correlated: bool) 
     for name, curve in (("gcv", np.log(gcv)), ("error", np.log(errors))):
         assert np.allclose(found[name], (curve - curve.min()) / np.ptp(curve), atol=1e-3)
     gcv_rule = next(r for r in found["rules"] if r["rule"] == "gcv")
-    now = called(lab, "/lcurve/at", {"seed": 3, "correlated": correlated, "lam": gcv_rule["lam"]})
+    now = called(lab, "lcurve/at", seed=3, correlated=correlated, lam=gcv_rule["lam"])
     assert now["map"] == pytest.approx(gcv_rule["error"], rel=1e-3)
     assert np.allclose(now["load"], tikhonov(H, y, gcv_rule["lam"]), atol=1e-4 * now["largest"])
 
 
 def test_medians_of_white_noise(lab: Lab) -> None:
-    rows = {r["rule"]: r for r in called(lab, "/lcurve/histogram", {"correlated": False})["rows"]}
+    rows = {r["rule"]: r for r in called(lab, "lcurve/histogram", correlated=False)["rows"]}
     assert all(sum(row["counts"]) == 200 for row in rows.values())
     for rule, lam in (("l_curve", 6.7e-3), ("gcv", 8.1e-3), ("oracle", 8.8e-3)):
         assert rows[rule]["lam"] == pytest.approx(lam, rel=0.12), rule
@@ -220,7 +220,7 @@ def test_medians_of_white_noise(lab: Lab) -> None:
 
 
 def test_medians_of_correlated_noise(lab: Lab) -> None:
-    rows = {r["rule"]: r for r in called(lab, "/lcurve/histogram", {"correlated": True})["rows"]}
+    rows = {r["rule"]: r for r in called(lab, "lcurve/histogram", correlated=True)["rows"]}
     assert rows["gcv"]["lam"] == pytest.approx(1e-6)
     assert rows["gcv"]["ratio"] == pytest.approx(10.8, rel=0.15)
     assert rows["discrepancy"]["ratio"] == pytest.approx(1.5, abs=0.06)

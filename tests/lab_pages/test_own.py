@@ -22,7 +22,7 @@ from loadid._lab.server import Lab
 from loadid._lab.shown import BINS, Shown, curve, shortened
 from loadid.cli import main
 
-from .asked import asked, posted, sent
+from .client import asked, posted, sent
 
 PLAIN = {"family": "auto", "response": "", "noise": "", "more": ""}
 NO_WORDS = {"fs": "", "columns": "", "record": "", "units": ""}
@@ -115,10 +115,15 @@ def test_at_another_lambda_they_are_those_of_the_command_with_this_lambda(
     quick = asked(lab, "own/picture", lam=3e-4, load=0)[1]
     assert quick["peak"]["value"] == pytest.approx(found["peaks"][0]["value"], rel=1e-7)
     assert quick["peak"]["std"] == pytest.approx(found["peaks"][0]["std"], rel=1e-7)
+    axis = asked(lab, "own/found")[1]["x"]  # sent once
+    assert "x" not in quick
+    assert len(axis) == len(quick["y"])
     (tmp_path / "page.h5").write_bytes(asked(lab, "own/save", lam=3e-4)[1])
     own, other = loadid.load(tmp_path / "page.h5"), loadid.load(tmp_path / "load.h5")
     assert own.choice is not None
     assert own.choice.lam == 3e-4
+    assert own.axis is not None
+    np.testing.assert_allclose(axis, own.axis.values, rtol=1e-5)
     np.testing.assert_allclose(own.load, other.load, atol=1e-9 * np.abs(other.load).max())
 
 

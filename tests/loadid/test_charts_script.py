@@ -18,7 +18,7 @@ node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not inst
 
 def asked(tmp_path, code):
     """What the functions of the script answer."""
-    (tmp_path / "charts.js").write_text(_page.text(_page.CHARTS) + f"\nconsole.log(JSON.stringify({code}));")
+    (tmp_path / "charts.js").write_text(_page.code_of(_page.CHARTS) + f"\nconsole.log(JSON.stringify({code}));")
     done = subprocess.run(["node", str(tmp_path / "charts.js")], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -132,6 +132,6 @@ def test_a_record_too_long_to_travel_keeps_its_extremes(tmp_path):
 @node
 @pytest.mark.parametrize("name", [_page.CHARTS, _page.TABLES])
 def test_the_scripts_are_javascript(name, tmp_path):
-    (tmp_path / "page.js").write_text(_page.text(name))
+    (tmp_path / "page.js").write_text(_page.code_of(name))
     done = subprocess.run(["node", "--check", str(tmp_path / "page.js")], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

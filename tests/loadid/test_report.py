@@ -132,7 +132,7 @@ def test_the_policy_lets_only_its_own_script_and_style_run(whole):
         digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
         assert f"{rule} 'sha256-{digest}'" in policy
     assert not [key for _, key, _ in read.attributes if key.startswith("on") or key == "style"]  # the policy stops them
-    script = _page.text(_page.CHARTS)
+    script = _page.code_of(_page.CHARTS)
     assert not re.search(
         r"fetch\(|XMLHttpRequest|WebSocket|import\(|innerHTML|insertAdjacent|document\.write|eval\(", script
     )
@@ -152,7 +152,7 @@ def test_every_text_is_escaped(make):
     )  # fmt: skip
     text = make(e)
     read = Page(text)
-    own = f"<script>{_page.text(_page.CHARTS)}</script>"
+    own = f"<script>{_page.code_of(_page.CHARTS)}</script>"
     assert "script" not in Page(text.replace(own, "")).tags
     assert text.count(own) == (make is page)
     assert not read.values("onerror")
@@ -203,7 +203,7 @@ def test_what_a_picture_must_not_travel_without_is_there_to_be_saved(whole):
     assert (
         note == f"grade {impact().grade.letter}  |  forward model not verified  |  allowed: LID-W407  |  cautions: W114"
     )
-    assert "dataset.note" in _page.text(_page.CHARTS)
+    assert "dataset.note" in _page.code_of(_page.CHARTS)
 
 
 def test_a_hit_is_shown_enlarged_above_its_whole_record(whole):

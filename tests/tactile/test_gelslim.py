@@ -212,3 +212,21 @@ def test_in_plane_markers_alone_are_not_enough() -> None:
 def test_impossible_spheres(bad: dict) -> None:
     with pytest.raises(InputError):
         Sphere(**{"radius": 5e-3, "depth": 1e-3, **bad})
+
+
+def test_another_noise_leaves_the_forces_and_scales_their_std() -> None:
+    here, f = pad(3, "bbar"), bump()
+    slope = np.tile([0.1, -0.05], (here.points, 1))
+    first = GelSlim(here, Markers(here.nodes2d, NOISE, slope=slope))
+    other = first.with_noise(3 * NOISE)
+    seen = here.displacements(f)[:, :2]
+    ball = Sphere(radius=8e-3, depth=0.2e-3, at=(0.0, 0.0))
+    a, b = first.estimate(seen, indenter=ball), other.estimate(seen, indenter=ball)
+    fresh = GelSlim(here, Markers(here.nodes2d, 3 * NOISE, slope=slope)).estimate(seen, indenter=ball)
+    assert np.array_equal(b.load, fresh.load)
+    assert np.array_equal(b.std, fresh.std)
+    assert np.array_equal(a.load, b.load)
+    np.testing.assert_allclose(b.std, 3 * np.asarray(a.std), rtol=1e-12)
+    assert np.array_equal(first.markers.noise, np.full((here.points, 2), NOISE))  # the first is as it was
+    with pytest.raises(InputError, match="stds > 0"):
+        first.with_noise(-NOISE)

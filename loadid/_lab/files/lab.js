@@ -143,24 +143,6 @@ export const announce = (place, text) => {
 };
 
 // -- plots ------------------------------------------------------------------------------------------------------------
-const ticks = (low, high, log, most) => {
-  const found = [];
-  if (log) {
-    const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9);
-    if (last - first >= 1) {
-      const step = Math.max(1, Math.ceil((last - first + 1) / most));
-      for (let k = first; k <= last; k += step) found.push(Number(`1e${k}`));
-      return found;
-    }
-  }
-  const size = 10 ** Math.floor(Math.log10((high - low) / most));
-  let step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most) ?? size;
-  if (Math.floor(high / step) <= Math.ceil(low / step)) step /= 2;  // one number tells no scale
-  for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9) && found.length < 40; k++)
-    if (!log || k > 0) found.push(Number((k * step).toPrecision(12)));
-  return found;
-};
-
 export const SHAPES = {
   circle: "M5 0A5 5 0 1 1-5 0A5 5 0 1 1 5 0Z", square: "M-4.5-4.5H4.5V4.5H-4.5Z", triangle: "M0-6L5.5 4.5H-5.5Z",
   diamond: "M0-6.5L5 0L0 6.5L-5 0Z", down: "M0 6L5.5-4.5H-5.5Z", plus: "M-6 0H6M0-6V6", cross: "M-4.5-4.5L4.5 4.5M-4.5 4.5L4.5-4.5",
@@ -255,12 +237,14 @@ const draw = (figure, plot) => {
       if (d) inside.append(node("path", { class: `curve ${look}`, d }));
     }
   }
-  (plot.uprights ?? []).forEach((one, k) => {
-    if (one.x === null || one.x === undefined) return;
-    const u = px(one.x);
-    inside.append(node("line", { class: `upright ${one.look ?? ""}`, x1: u, x2: u, y1: pad.top, y2: pad.top + h }));
-    const flip = u > pad.left + 0.6 * w;
-    inside.append(node("text", { x: u + (flip ? -4 : 4), y: pad.top + 12 + 13 * (k % 8), "text-anchor": flip ? "end" : "start" }, one.name ?? ""));
+  // names of uprights stand below each other from left to right, each with a dot on its line
+  const uprights = (plot.uprights ?? []).filter(one => one.x !== null && one.x !== undefined).sort((a, b) => a.x - b.x);
+  uprights.forEach((one, k) => {
+    const u = px(one.x), v = pad.top + 12 + 15 * (k % 8), long = 8 + 7 * (one.name ?? "").length;
+    const flip = u + long > pad.left + w || (2 * k + 1 < uprights.length && u - long > pad.left);
+    inside.append(node("line", { class: `upright ${one.look ?? ""}`, x1: u, x2: u, y1: pad.top, y2: pad.top + h }),
+      node("circle", { class: `upright ${one.look ?? ""} dot`, cx: u, cy: v - 4, r: 3 }));
+    inside.append(node("text", { x: u + (flip ? -8 : 8), y: v, "text-anchor": flip ? "end" : "start" }, one.name ?? ""));
   });
   svg.append(grid, inside, node("rect", { class: "frame", x: pad.left, y: pad.top, width: w, height: h }), text,
     node("text", { x: pad.left + w, y: height - 6, "text-anchor": "end" }, x.label ?? ""));

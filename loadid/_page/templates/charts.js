@@ -1,4 +1,3 @@
-"use strict";
 // Charts of a page: read off, zoom, save. What is drawn follows `loadid/_page/chart.py`: ticks, margins, extremes.
 
 const written = value => {
@@ -8,27 +7,6 @@ const written = value => {
   const text = size >= 1e-3 && size < 1e5 ? String(Number(value.toPrecision(4))) : value.toExponential(3);
   const [head, power] = text.split("e");
   return power === undefined ? text : `${Number(head)}e${Number(power)}`;
-};
-
-const ticks = (low, high, log, most) => {
-  const found = [];
-  if (log) {
-    const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9);
-    if (last - first >= 1) {
-      const step = Math.max(1, Math.ceil((last - first + 1) / most));
-      for (let k = first; k <= last; k += step) found.push(Number(`1e${k}`));
-      return found;
-    }
-    for (let k = first - 2; k < last + 2; k++) for (const m of [1, 2, 5]) {
-      const value = m * 10 ** k;
-      if (low <= value && value <= high) found.push(value);
-    }
-    return found.length > 1 ? found : ticks(low, high, false, most);
-  }
-  const size = 10 ** Math.floor(Math.log10((high - low) / most));
-  const step = [1, 2, 5, 10].map(m => m * size).find(s => (high - low) / s <= most);
-  for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) found.push(k * step);
-  return found;
 };
 
 const share = (value, [low, high], log) => log
