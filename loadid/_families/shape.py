@@ -18,7 +18,7 @@ from .._inverse.diagnosis import identifiability
 from .._inverse.posterior import DensePosterior
 from .._inverse.shape import choosing, moving
 from .._inverse.shape.plate import ThinPlate, thin_plate
-from .._inverse.shape.radial import OCTAVE, RadialBasis
+from .._inverse.shape.radial import RadialBasis
 from .._record import Record
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
@@ -32,7 +32,7 @@ from .smoothness import geometry
 
 Array = NDArray[np.float64]
 GRID = 12  # patches along the longer side
-SMALLEST = 1.0  # shape parameter, times the longer side
+SMALLEST, STEP = 1.0, 2**0.25  # shape parameter, times the longer side; from one that is tried to the next
 FINEST = 0.75  # times the distance of the gauges: functions that are narrower, the gauges do not tell from noise
 LOST = 0.3  # share of the data (rms) that the finest field leaves, above which it cannot hold them
 EXCESS = 5.0  # the same over noise that is known
@@ -219,8 +219,8 @@ class ShapeSensing:
             plate = self._still
             places = {tuple(np.round(np.asarray(g.at, float) / plate.size, 9)) for g in self.gauges}
             apart = float(np.sqrt(plate.sides[0] * plate.sides[1] / len(places)))
-            count = max(1 + int(np.floor(np.log(FINEST / apart / SMALLEST) / np.log(OCTAVE))), 2)
-            functions = tuple(RadialBasis(plate.sides, plate.edges, SMALLEST * OCTAVE**k) for k in range(count))
+            count = max(1 + int(np.floor(np.log(FINEST / apart / SMALLEST) / np.log(STEP))), 2)
+            functions = tuple(RadialBasis(plate.sides, plate.edges, SMALLEST * STEP**k) for k in range(count))
             self._posed = _Posed(
                 functions,
                 tuple(self._gauge_rows(plate, f) for f in functions),

@@ -41,6 +41,7 @@ from loadid import (
     StaticInversion,
     compare_domains,
     design,
+    fullfield,
     paths,
     q_sweep,
     recommend,
@@ -451,6 +452,12 @@ def gauged() -> tuple[Any, Any]:
     return sheet(), [sensors.StrainGauge(at=at, fibre=1e-3, noise=1e-7, angle=0.3) for at in places]
 
 
+def frames_of_a_field() -> Any:
+    """Deflections on a grid."""
+    x = np.linspace(0, 1, 40)
+    return fullfield.FieldFrames(np.sin(3 * x)[None, :, None] * np.cos(x), "deflection", (0.01, 0.01))
+
+
 def sensed(family: Any) -> Any:
     """Displacements of a plate."""
     found = family.estimate(np.linspace(1e-5, 3e-5, 5))
@@ -588,6 +595,8 @@ add(
 add("family/calibration", lambda: calibrated().calibration)
 add("family/FieldDeconvolution", field, partial(estimated, record=p.span()[1], dt=1 / 400))
 add("family/ShapeSensing", lambda: ShapeSensing(*gauged()), partial(estimated, found=np.linspace(1e-5, 3e-5, 5)))
+add("full field/FieldFrames", lambda: frames_of_a_field(), shown)
+add("full field/PressureFrames", lambda: fullfield.virtual_fields(frames_of_a_field(), sheet(), window=15), shown)
 add("shape sensing/InverseFEM", lambda: shape_sensing.InverseFEM(*gauged()), sensed)
 add("shape sensing/QuadPlate", lambda: shape_sensing.QuadPlate.rectangle((0.4, 0.3), (4, 3), 2e-3),
     lambda plate: sensed(shape_sensing.InverseFEM(plate, gauged()[1])))  # fmt: skip
