@@ -1,4 +1,4 @@
-"""Three routes from gauges to the load of a plate: error, coverage of the 95 % band, CPU time.
+"""Routes from gauges to the load of a plate: error, coverage of the 95 % band, CPU time.
 
 ``python -m tests.benchmarks.shape_routes [field|gauges|random|record]``. The plate is simply supported, 1 x 1 m,
 5 mm of aluminium; the truth is its series solution, scored as the means of 12 x 12 patches.
