@@ -31,6 +31,7 @@ _PUBLIC = {
     "Priors": "loadid.settings",
     "Record": "loadid._record",
     "Search": "loadid.settings",
+    "ShapeSensing": "loadid._families.shape",
     "Signal": "loadid.settings",
     "Sparsity": "loadid.settings",
     "Spectra": "loadid._record",

@@ -39,6 +39,7 @@ _MODULES = {
     "motion": "_models.motion",
     "plates": "_elements.plates",
     "sensors": "_system.sensors",
+    "shape_sensing": "shape_sensing",
     "solids": "_elements.solids",
     "units": "units",
 }

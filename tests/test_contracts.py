@@ -370,7 +370,7 @@ def data_for(family, kind):
 def test_every_family_has_a_place_among_the_users_of_ones_own_model():
     public = [getattr(loadid, name) for name in loadid.__all__]
     families = {x.__name__ for x in public if inspect.isclass(x) and inspect.isfunction(getattr(x, "estimate", None))}
-    assert families == set(USERS)
+    assert families - {"ShapeSensing"} == set(USERS)  # that one takes a plate and its gauges, no model
 
 
 @pytest.mark.parametrize(("family", "kind"), [(f, k) for f, (_, can) in USERS.items() for k in MODELS if k in can])

@@ -34,6 +34,7 @@ from loadid import (
     Priors,
     Record,
     Search,
+    ShapeSensing,
     Signal,
     SparseDeconvolution,
     Sparsity,
@@ -41,6 +42,7 @@ from loadid import (
     StaticInversion,
     compare_domains,
     design,
+    fullfield,
     paths,
     q_sweep,
     recommend,
@@ -70,6 +72,7 @@ from structures import (
     motion,
     plates,
     sensors,
+    shape_sensing,
     solids,
 )
 from structures._elements import circular
@@ -445,6 +448,24 @@ def field() -> FieldDeconvolution:
     return FieldDeconvolution(model, space="gradient", length=0.4, choice=p.LAM, noise=Noise(std, **p.SOURCE))
 
 
+def gauged() -> tuple[Any, Any]:
+    """A plate and its gauges."""
+    places = [(0.1, 0.07), (0.2, 0.15), (0.3, 0.22), (0.12, 0.2), (0.28, 0.09)]
+    return sheet(), [sensors.StrainGauge(at=at, fibre=1e-3, noise=1e-7, angle=0.3) for at in places]
+
+
+def frames_of_a_field() -> Any:
+    """Deflections on a grid."""
+    x = np.linspace(0, 1, 40)
+    return fullfield.FieldFrames(np.sin(3 * x)[None, :, None] * np.cos(x), "deflection", (0.01, 0.01))
+
+
+def sensed(family: Any) -> Any:
+    """Displacements of a plate."""
+    found = family.estimate(np.linspace(1e-5, 3e-5, 5))
+    return bits((found.values, found.std, found.covariance(np.eye(3, len(found.gain)))))
+
+
 def searching(**settings: Any) -> LocationSearch:
     """Candidates for the place of an impact."""
     model, _, std = p.candidates.__wrapped__()
@@ -582,6 +603,14 @@ add(
 )
 add("family/calibration", lambda: calibrated().calibration)
 add("family/FieldDeconvolution", field, partial(estimated, record=p.span()[1], dt=1 / 400))
+add("family/ShapeSensing", lambda: ShapeSensing(*gauged()), partial(estimated, found=np.linspace(1e-5, 3e-5, 5)))
+add("full field/FieldFrames", lambda: frames_of_a_field(), shown)
+add("full field/PressureFrames", lambda: fullfield.virtual_fields(frames_of_a_field(), sheet(), window=15), shown)
+add("shape sensing/InverseFEM", lambda: shape_sensing.InverseFEM(*gauged()), sensed)
+add("shape sensing/QuadPlate", lambda: shape_sensing.QuadPlate.rectangle((0.4, 0.3), (4, 3), 2e-3),
+    lambda plate: sensed(shape_sensing.InverseFEM(plate, gauged()[1])))  # fmt: skip
+add("shape sensing/SensedField", lambda: shape_sensing.InverseFEM(*gauged()).estimate(np.linspace(1e-5, 3e-5, 5)),
+    lambda found: bits((found.values, found.std)))  # fmt: skip
 add("family/HarmonicInversion", lambda: one_line()[0], partial(estimated, amplitudes=one_line()[1]))
 add("family/FrequencyInversion", lambda: lines()[0], partial(estimated, found=lines()[1]))
 add("family/FrequencyInversion, transient", lambda: FrequencyInversion(p.chain.__wrapped__(), signal="transient"),
