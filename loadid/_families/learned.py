@@ -18,6 +18,7 @@ from .. import _guards as guards
 from .._learning import outputs as outs
 from .._learning.adaptation import Adaptation, adapted
 from .._learning.calibration import Factors, calibrated, require_draws
+from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
@@ -255,6 +256,25 @@ class FittedMap(ReadOnly):
             return np.asarray(values - mean @ self.model.static().T)
         h = impulse_of(self.model, self.dt, values.shape[1], self.facts["hold"])
         return np.stack([v - convolved(h, m) for v, m in zip(values, mean, strict=True)])
+
+    def check(
+        self, held_out: Any, *, draws: int | None = None, progress: Callable[[float, str], None] | None = None
+    ) -> MapCheck:
+        """Errors, coverage and alarms on a training set that the map has not seen, kind by kind.
+
+        Parameters
+        ----------
+        held_out : loadid.generate.TrainingSet
+            Of another seed.
+        draws : int, optional
+            Only so many, the first ones.
+
+        Raises
+        ------
+        InputError
+            A set of other sensors, loads or step, or the one that it was learned from.
+        """
+        return checked(self, held_out, Progress(progress), draws)
 
     # -- real records -------------------------------------------------------------------------------------------------
     def adapted(self, more: Sequence[tuple[Any, Any]]) -> FittedMap:
