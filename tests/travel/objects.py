@@ -102,6 +102,7 @@ from tests import lab, mounted
 from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 from tests.golden import problems as p
 from tests.inverse.statespace.cases import case
+from tests.learning import made as learned
 from tests.tactile import test_eye as seen
 
 DT = p.DT
@@ -740,3 +741,7 @@ SHARED: dict[str, Shared] = {
     "LayerSensor": Shared(layered, p.moved()[1], said=mapped_numbers),
     "LayerSensor, scattered": Shared(partial(layered, True), p.moved()[1], said=mapped_numbers),
 }  # fmt: skip
+
+add("family/LearnedMap", lambda: learned.LearnedMap(learned.plate()[0]), lambda m: bits((m.coverage, m.model.static())))
+add("learned map/static", learned.static_map.__wrapped__, lambda m: bits(m.predict(learned.presses(3, 1)[0]).mean))
+add("learned map/history", learned.history_map, lambda m: bits(m.predict(learned.records(2, 1)[0]).std))
