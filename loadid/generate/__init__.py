@@ -5,9 +5,17 @@ response are one too (`TrainingSet.of`). What draws is a `DrawMaker`: an object 
 """
 
 from ._examples import Examples as Examples
+from ._histories import HistoryDeclaration as HistoryDeclaration
+from ._histories import ModelRange as ModelRange
+from ._histories import ReadingRange as ReadingRange
+from ._histories import histories as histories
+from ._loads import LoadRange as LoadRange
 from ._trainingset import TrainingSet as TrainingSet
 from ._work import DrawMaker as DrawMaker
 from ._work import Drawn as Drawn
 from ._work import generate as generate
 
-__all__ = ["DrawMaker", "Drawn", "Examples", "TrainingSet", "generate"]
+__all__ = [
+    "DrawMaker", "Drawn", "Examples", "HistoryDeclaration", "LoadRange", "ModelRange", "ReadingRange", "TrainingSet",
+    "generate", "histories",
+]  # fmt: skip

@@ -59,3 +59,13 @@ def _range(value: Any, one: Field[Any], where: str) -> Range:
             expected=f"lowest <= highest, within {least:g} and {most:g}", hint="SI units in Python, units in TOML",
         )  # fmt: skip
     return low, high
+
+
+def halton(number: int, base: int) -> float:
+    """Member of the van der Corput sequence of a base, between 0 and 1."""
+    found, share = 0.0, 1.0
+    while number:
+        share /= base
+        number, digit = divmod(number, base)
+        found += share * digit
+    return found

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from loadid.generate import Drawn
+from loadid.generate._ranges import halton
 from structures.errors import InputError, digest
 
 from .._arrays import Array
@@ -216,7 +217,7 @@ class PressMaker:
         """A layer whose Poisson's ratio and thickness fill their ranges evenly (Halton), with the modulus stated."""
         gel = self.declared.gel
         nu, thick = gel.nu or (self.layer.nu,) * 2, gel.thickness
-        share = _halton(number + 1, 2), _halton(number + 1, 3)
+        share = halton(number + 1, 2), halton(number + 1, 3)
         return Layer(self.layer.h * (thick[0] + share[1] * (thick[1] - thick[0])), self.layer.E,
                      nu[0] + share[0] * (nu[1] - nu[0]))  # fmt: skip
 
@@ -268,15 +269,6 @@ def _shape(chosen: IndenterRange, at: tuple[float, float], rng: np.random.Genera
 
 def _lowest(bodies: Sequence[Any], points: Array) -> Array:
     return np.asarray(np.minimum.reduce([one(points) for one in bodies]))
-
-
-def _halton(number: int, base: int) -> float:
-    found, share = 0.0, 1.0
-    while number:
-        share /= base
-        number, digit = divmod(number, base)
-        found += share * digit
-    return found
 
 
 def _of(body: Any, places: Array | None) -> tuple[Layer, tuple[float, float]]:

@@ -229,8 +229,8 @@ def test_a_declaration_that_is_none_is_refused(tmp_path: Path, old: str, new: st
 def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="beside the pad"):
         PressMaker(g.marked(), g.only(SPHERE, x=(0.0, 9e-3), depth=1e-4))
+    pad = type(g.pad())(E=g.E, nu=g.NU, size=(10e-3, 10e-3), thickness=g.THICKNESS, pitch=1e-3, layers=2)
     with pytest.raises(InputError, match="another size"):
-        pad = type(g.pad())(E=g.E, nu=g.NU, size=(10e-3, 10e-3), thickness=g.THICKNESS, pitch=1e-3, layers=2)
         PressMaker(g.marked(), g.only(SPHERE, depth=1e-4), [pad])
     with pytest.raises(InputError, match="their own thickness"):
         PressMaker(g.marked(), g.DECLARED, [g.pad()])
