@@ -24,8 +24,8 @@ from .sources import PACKAGES, ROOT, imported, modules, parsed, walked, within
 MOST_FILES, MOST_PARAMETERS = 20, 10
 PUBLIC = (
     "structures", "structures.bases", "structures.errors", "structures.files", "structures.units",
-    "loadid", "loadid.codes", "loadid.constraints", "loadid.datasets", "loadid.design", "loadid.paths", "loadid.priors",
-    "loadid.settings", "loadid.sources", "loadid.validate", "loadid.vibration",
+    "loadid", "loadid.codes", "loadid.constraints", "loadid.datasets", "loadid.design", "loadid.generate", "loadid.paths",
+    "loadid.priors", "loadid.settings", "loadid.sources", "loadid.validate", "loadid.vibration",
     "tactile", "tactile.datasets", "tactile.design", "tactile.live", "tactile.material", "tactile.metrics",
     "tactile.vision",
 )  # fmt: skip
