@@ -17,10 +17,10 @@ from structures.errors import InputError
 Array = NDArray[np.float64]
 
 FEWEST = 20  # draws that calibrate
-EACH = 200  # numbers of one output, from which it has a factor of its own
+EACH = 100  # draws from which every output has a factor of its own
 
 
-def factors(errors: Array, std: Array, groups: NDArray[np.int_], coverage: float) -> Array:
+def factors(errors: Array, std: Array, groups: NDArray[np.int_], coverage: float, draws: int) -> Array:
     """What to multiply the std of each output with, (outputs,).
 
     Parameters
@@ -28,14 +28,16 @@ def factors(errors: Array, std: Array, groups: NDArray[np.int_], coverage: float
     errors, std : array (numbers, outputs)
         Errors on examples kept apart, and the std that the engine states for them.
     groups : array of int (outputs,)
-        Outputs of one quantity and direction, which share a factor where there are too few numbers for each.
+        Outputs of one quantity and direction, which share a factor where there are too few draws for each.
     coverage : float
         Of the band of `coverage` of a normal distribution of that std.
+    draws : int
+        That these numbers come from.
     """
     ratio = np.abs(errors) / np.maximum(std, np.finfo(float).tiny)
     ratio = np.where((errors == 0) & (std == 0), 0.0, ratio)
     wide = NormalDist().inv_cdf(0.5 + coverage / 2)
-    if len(ratio) >= EACH:
+    if draws >= EACH:
         return np.array([quantile(column, coverage) for column in ratio.T]) / wide
     shared = {int(g): quantile(ratio[:, groups == g].ravel(), coverage) for g in np.unique(groups)}
     return np.array([shared[int(g)] for g in groups]) / wide

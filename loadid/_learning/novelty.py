@@ -10,8 +10,8 @@ Every score has a limit of its own, such that together they raise `FALSE_ALARMS`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -22,7 +22,6 @@ from .training import Lesson
 from .triangle import Triangle
 
 Array = NDArray[np.float64]
-Forward = Callable[[Array], Array | None]
 
 FALSE_ALARMS = 0.005  # of records like the examples: half of the 1 % that is promised
 HALF = 16  # samples of the windows whose distance is taken, before and after their middle
@@ -116,25 +115,20 @@ class Novelty:
             floor = float(np.mean(power[outside])) if outside.any() else 1.0
         return cls(examples.mean[:p], whiten, half, outside, floor, {}, {}, np.zeros(0), lesson.fitting.samples or 0)
 
-    def judged(self, data: Array, residual: Array | None, samples: int) -> Self:
-        """With limits set by draws that were kept apart.
-
-        Parameters
-        ----------
-        data : array (n, [samples,] sensors), or a list of records
-            Whitened.
-        residual : array of the same shape, a list of them, or None
-            What the model's response to the answers leaves of them.
-        samples : int
-            Of these records; 0 of static readings.
-        """
-        scores = [self.scores(one, None if residual is None else residual[i]) for i, one in enumerate(data)]
-        logs = {name: np.log(np.maximum([s[name] for s in scores], 1e-300)) for name in scores[0]}
+    def judged(self, scores: Sequence[Mapping[str, float]], samples: int) -> Self:
+        """With limits set by the scores of draws that were kept apart, records of `samples` (0: static readings)."""
+        logs = {name: _logs(scores, name) for name in scores[0]}
         centre = {name: float(np.mean(x)) for name, x in logs.items()}
-        spread = {name: float(max(np.std(x), 1e-6)) for name, x in logs.items()}
+        spread = {name: max(float(np.std(x)), 1e-6) for name, x in logs.items()}
         standard = np.stack([(x - centre[k]) / spread[k] for k, x in logs.items()])
-        excess = np.sort(np.max(standard, axis=0))
-        return type(self)(self.mean, self.whiten, self.half, self.outside, self.floor, centre, spread, excess, samples)
+        return replace(self, centre=centre, spread=spread, excess=np.sort(np.max(standard, axis=0)), samples=samples)
+
+    def widened(self, scores: Sequence[Mapping[str, float]]) -> Self:
+        """With limits that readings of a real sensor meet, of which these are the scores."""
+        logs = {name: _logs(scores, name) for name in self.centre}
+        centre = {name: max(c, float(np.mean(logs[name]))) for name, c in self.centre.items()}
+        spread = {name: float(np.hypot(s, np.std(logs[name]))) for name, s in self.spread.items()}
+        return replace(self, centre=centre, spread=spread)
 
     def scores(self, data: Array, residual: Array | None) -> dict[str, float]:
         """Scores of one reading (sensors,) or record (samples, sensors), whitened."""
@@ -181,6 +175,10 @@ class Novelty:
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------
+def _logs(scores: Sequence[Mapping[str, float]], name: str) -> Array:
+    return np.log(np.maximum([s[name] for s in scores], 1e-300))
+
+
 def _records(lesson: Lesson) -> Iterator[tuple[Array, Array]]:
     for data, outputs in lesson.batches(lesson.fitting):
         yield from zip(data, outputs, strict=True)
