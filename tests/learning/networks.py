@@ -1,4 +1,4 @@
-"""Small networks with weights, values and what torch makes of them: `python -m tests.learning.networks` writes the file."""
+"""Small networks with weights, values, and what torch makes of them: `python -m tests.learning.networks` writes it."""
 
 from __future__ import annotations
 

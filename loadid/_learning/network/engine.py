@@ -62,6 +62,7 @@ class NetworkEngine:
         progress: Callable[[float, str], None] | None = None,
         *,
         seed: int = 0,
+        places: Array | None = None,
         schedule: Schedule | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
     ) -> Self:
@@ -70,11 +71,12 @@ class NetworkEngine:
         Parameters
         ----------
         lesson : Lesson
-            Loads on a rectangular grid of `places` are mapped by a U-shaped network, histories by a temporal one.
         progress : callable, optional
             Told the share that is done, and of what.
         seed : int
             Of the first weights and of the order of the examples: the same seed gives the same bits.
+        places : array (P, 2 or 3), optional
+            Of the nodes that the loads act at, in their order: on a rectangular grid a U-shaped network maps them.
         schedule : Schedule, optional
             How long and how fast.
         checkpoint : path, optional
@@ -89,7 +91,7 @@ class NetworkEngine:
         linear = LinearEngine.learn(lesson, lambda share, text: say(0.2 * share, text))
         plan = schedule or Schedule()
         fitting, choosing = (_together(lesson, part, linear) for part in (lesson.fitting, lesson.choosing))
-        form = _form(lesson, *fitting)
+        form = _form(lesson, places, *fitting)
         done = _trained(form, fitting, choosing, plan, seed, say, checkpoint)
         return cls(linear, form, done.graph, done.losses)
 
@@ -176,11 +178,10 @@ def _together(lesson: Lesson, part: Any, linear: LinearEngine) -> tuple[Array, A
     return data, mean, truth
 
 
-def _form(lesson: Lesson, data: Array, mean: Array, truth: Array) -> Form:
+def _form(lesson: Lesson, places: Array | None, data: Array, mean: Array, truth: Array) -> Form:
     """What the network of a lesson sees."""
     if lesson.dt is not None:
         return Histories.of(data, mean, truth)
-    places = lesson.places
     if places is not None and lesson.resultant is None and lesson.outputs % len(places) == 0:
         grid = Grid.of(places, lesson.outputs // len(places))
         if grid is not None:

@@ -1,7 +1,7 @@
 """What a network sees of readings, and what its numbers mean: maps on grids, histories, or numbers in no order.
 
-A load twice as large moves every marker twice as far. So what goes into the network of static readings is divided by the
-size of the readings, and what comes out is multiplied by it; the size itself, over the noise, goes in beside.
+A load twice as large moves every marker twice as far. So what goes into the network of static readings is divided by
+the size of the readings, and what comes out is multiplied by it; the size itself, over the noise, goes in beside.
 """
 
 from __future__ import annotations

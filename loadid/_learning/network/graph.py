@@ -50,9 +50,9 @@ class Graph:
                 raise InputError("a step that no network has", where="network", found=step.kind,
                                  expected=", ".join(OPERATIONS))  # fmt: skip
             for name, shape in zip(step.weights, (step.shape, step.shape[:1]), strict=False):
-                if self.weights and np.shape(self.weights.get(name)) != shape:
-                    raise InputError("weights that do not fit the network", where=name,
-                                     found=np.shape(self.weights.get(name)), expected=shape)  # fmt: skip
+                found = self.weights[name].shape if name in self.weights else None
+                if self.weights and found != shape:
+                    raise InputError("weights that do not fit the network", where=name, found=found, expected=shape)
 
     @property
     def count(self) -> int:
