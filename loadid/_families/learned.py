@@ -17,11 +17,12 @@ from structures.errors import InputError, one_of
 from .. import _guards as guards
 from .._learning import outputs as outs
 from .._learning.adaptation import Adaptation, adapted
-from .._learning.calibration import factors, require_draws
+from .._learning.calibration import Factors, calibrated, require_draws
+from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
-from .._learning.training import Lesson, require_fit, scale_of
+from .._learning.training import Lesson, has_gaps, require_fit, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
@@ -34,6 +35,7 @@ from .static import StaticInversion
 Array = NDArray[np.float64]
 
 NAME = "learned map"
+HOLDS = ("zoh", "foh")
 PARTS = (0.7, 0.1, 0.2)  # of the draws: for parameters, for what is chosen beside them, for the std and the alarm
 
 
@@ -53,6 +55,8 @@ class LearnedMap:
         What is mapped: every load, or their resultants.
     physics : a family, optional
         Answers where the map must not; default `StaticInversion` for static readings, `Deconvolution` for histories.
+    hold : ``"zoh"`` or ``"foh"``, optional
+        How loads run between samples, as in `Deconvolution`; default that of the model.
     coverage : float
         Of the band to which the std is calibrated.
     seed : int
@@ -75,6 +79,7 @@ class LearnedMap:
         engine: str = "linear",
         output: str = "load",
         physics: Any = None,
+        hold: str | None = None,
         coverage: float = 0.95,
         seed: int = 0,
         progress: Callable[[float, str], None] | None = None,
@@ -84,6 +89,7 @@ class LearnedMap:
         self.output = one_of("no such output", output, ("load", "resultant"), where="output")
         if not (isinstance(coverage, float) and 0.5 <= coverage < 1):
             raise InputError("no coverage", where="coverage", found=coverage, expected="0.5 or more, below 1")
+        self.hold = self.model.default_hold if hold is None else one_of("no such hold", hold, HOLDS, where="hold")
         self.physics, self.coverage, self.seed = physics, coverage, seed
         self.outputs = Outputs.of(self.model, self.output)
         self._progress = Progress(progress)
@@ -114,14 +120,17 @@ class LearnedMap:
         require_draws(len(parts[2]))
         dt = training.dt
         self.model.require("static" if dt is None else "impulse_response", family="LearnedMap")
-        lesson = Lesson(*parts, scale=scale_of(training, self.model), resultant=self.outputs.matrix, dt=dt)
+        scale = scale_of(training, self.model)
+        lesson = Lesson(parts[0], parts[1], parts[2], scale, self.outputs.matrix, dt)
         learned = engine(self.engine).learn(lesson, progress=lambda f, t: self._progress(0.7 * f, t), **settings)
         self._progress(0.7, "what the examples are like")
         novelty = Novelty.learn(lesson)
         self._progress(0.8, "calibrating the std and the alarm")
         map_ = FittedMap(
-            self.model, learned, self.outputs, np.ones(lesson.outputs), novelty, lesson.scale, dt,
-            self.physics, {"coverage": self.coverage, "draws": len(training), "training": training.fingerprint},
+            self.model, learned, self.outputs, Factors.none(lesson.outputs), novelty, lesson.scale, dt,
+            self.physics,
+            {"coverage": self.coverage, "draws": len(training), "training": training.fingerprint,
+             "gaps": has_gaps(training), "hold": self.hold},
         )  # fmt: skip
         map_ = _calibrated(map_, lesson, self.coverage)
         self._progress(1.0, "done")
@@ -157,7 +166,7 @@ class FittedMap(ReadOnly):
     engine : Engine
     outputs : Outputs
         What it answers.
-    factors : array (outputs,)
+    factors : Factors
         Of the std of the engine, by calibration.
     novelty : Novelty
     scale : array (sensors,)
@@ -167,7 +176,7 @@ class FittedMap(ReadOnly):
     physics : a family, or None
         Who answers instead; None for the default.
     facts : mapping
-        Coverage, draws, fingerprint of the training set.
+        Coverage, draws and fingerprint of the training set, whether readings are missing there; hold.
     adaptation : Adaptation, optional
         What real records told.
     """
@@ -175,7 +184,7 @@ class FittedMap(ReadOnly):
     model: Model
     engine: Engine
     outputs: Outputs
-    factors: Array
+    factors: Factors
     novelty: Novelty
     scale: Array
     dt: float | None
@@ -215,7 +224,8 @@ class FittedMap(ReadOnly):
         else:
             data = gather(record, dt, self.model, None, allow_missing=True)
             self._require_step(data.dt)
-            given, lost = data, bool(data.missing.any())  # type: ignore[assignment]
+            lost = bool(data.missing.any()) and not self.facts["gaps"]
+            given = data  # type: ignore[assignment]
             values, axis = data.values[None], over_time(len(data.values), data.dt)
         told = self.predict(values)
         alarms = np.array([v.alarm or lost for v in told.verdicts])
@@ -235,7 +245,8 @@ class FittedMap(ReadOnly):
             self.novelty.verdict(one / self.scale, None if white is None else white[i]) for i, one in enumerate(clean)
         )
         gain = self.adaptation.gain
-        return Prediction(mean * gain, std * self.factors * np.abs(gain) * self.adaptation.spread, left, verdicts)
+        factor = self.factors.inside if self.dt is None else self.factors.of(values.shape[1])
+        return Prediction(mean * gain, std * factor * np.abs(gain) * self.adaptation.spread, left, verdicts)
 
     def residual(self, values: Array, mean: Array) -> Array | None:
         """Readings (n, [samples,] sensors) less the response to outputs; None where the outputs are no loads."""
@@ -243,8 +254,27 @@ class FittedMap(ReadOnly):
             return None
         if self.dt is None:
             return np.asarray(values - mean @ self.model.static().T)
-        h = impulse_of(self.model, self.dt, values.shape[1], self.model.default_hold)
+        h = impulse_of(self.model, self.dt, values.shape[1], self.facts["hold"])
         return np.stack([v - convolved(h, m) for v, m in zip(values, mean, strict=True)])
+
+    def check(
+        self, held_out: Any, *, draws: int | None = None, progress: Callable[[float, str], None] | None = None
+    ) -> MapCheck:
+        """Errors, coverage and alarms on a training set that the map has not seen, kind by kind.
+
+        Parameters
+        ----------
+        held_out : loadid.generate.TrainingSet
+            Of another seed.
+        draws : int, optional
+            Only so many, the first ones.
+
+        Raises
+        ------
+        InputError
+            A set of other sensors, loads or step, or the one that it was learned from.
+        """
+        return checked(self, held_out, Progress(progress), draws)
 
     # -- real records -------------------------------------------------------------------------------------------------
     def adapted(self, more: Sequence[tuple[Any, Any]]) -> FittedMap:
@@ -281,7 +311,7 @@ class FittedMap(ReadOnly):
     def _factor(self) -> Array | None:
         """Factor of the posterior covariance of one static load, where the engine knows it."""
         W = getattr(self.engine, "covariance", None)
-        return None if W is None else W * self.factors
+        return None if W is None else W * self.factors.inside
 
     # -- files --------------------------------------------------------------------------------------------------------
     def save(self, path: Any) -> None:
@@ -313,7 +343,9 @@ class FittedMap(ReadOnly):
     def _physics(self) -> Any:
         if self.physics is not None:
             return self.physics
-        return StaticInversion(self.model) if self.dt is None else Deconvolution(self.model)
+        if self.dt is None:
+            return StaticInversion(self.model)
+        return Deconvolution(self.model, hold=self.facts["hold"])
 
     def _assembled(self, given: Any, values: Array, axis: Axis | None, told: Prediction) -> LoadEstimate:
         """The answer of the map alone."""
@@ -357,15 +389,15 @@ def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     errors, stds, scores = [], [], []
     for data, truth in lesson.batches(lesson.calibrating):
         mean, std = map_.engine.predict(data)
-        errors.append((mean - truth).reshape(-1, lesson.outputs))
-        stds.append(np.broadcast_to(std, mean.shape).reshape(-1, lesson.outputs))
+        errors.append(mean - truth)
+        stds.append(np.broadcast_to(std, mean.shape))
         left = map_.residual(data * lesson.scale, mean)
         white = None if left is None else left / lesson.scale
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
-    draws = len(scores)
-    factor = factors(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, draws)
-    return replace(map_, factors=factor, novelty=map_.novelty.judged(scores, samples))
+    reach = None if lesson.dt is None else map_.engine.reach
+    found = calibrated(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach)
+    return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
 
 
 def _answered_by_physics(

@@ -7,7 +7,9 @@ on the examples kept apart covers as often on those to come.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,27 +19,80 @@ from structures.errors import InputError
 Array = NDArray[np.float64]
 
 FEWEST = 20  # draws that calibrate
-EACH = 100  # draws from which every output has a factor of its own
+EACH = 1000  # draws from which every output has a factor of its own
 
 
-def factors(errors: Array, std: Array, groups: NDArray[np.int_], coverage: float, draws: int) -> Array:
-    """What to multiply the std of each output with, (outputs,).
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """What to multiply the std of an engine with.
 
     Parameters
     ----------
-    errors, std : array (numbers, outputs)
-        Errors on examples kept apart, and the std that the engine states for them.
+    inside : array (outputs,)
+        Of static loads, and of samples far from the ends of a record.
+    start, end : array (samples, outputs)
+        Of the first and the last samples of a record, which are told less; empty for static loads.
+    """
+
+    inside: Array
+    start: Array
+    end: Array
+
+    @classmethod
+    def none(cls, outputs: int) -> Self:
+        """Ones."""
+        return cls(np.ones(outputs), np.zeros((0, outputs)), np.zeros((0, outputs)))
+
+    def of(self, samples: int) -> Array:
+        """For a record of so many samples (samples, outputs)."""
+        whole = np.tile(self.inside, (samples, 1))
+        first, last = (min(len(part), samples) for part in (self.start, self.end))
+        whole[:first] = self.start[:first]
+        if last:
+            whole[-last:] = np.maximum(whole[-last:], self.end[-last:])
+        return whole
+
+
+def calibrated(
+    errors: Array, std: Array, groups: NDArray[np.int_], coverage: float, reach: int | None
+) -> Factors:  # fmt: skip
+    """Factors by the errors of draws kept apart.
+
+    Parameters
+    ----------
+    errors, std : array (draws, [samples,] outputs)
+        Errors, and the std that the engine states for them.
     groups : array of int (outputs,)
         Outputs of one quantity and direction, which share a factor where there are too few draws for each.
     coverage : float
         Of the band of `coverage` of a normal distribution of that std.
-    draws : int
-        That these numbers come from.
+    reach : int or None
+        Samples around one that its load depends on; None of static readings.
     """
     ratio = np.abs(errors) / np.maximum(std, np.finfo(float).tiny)
     ratio = np.where((errors == 0) & (std == 0), 0.0, ratio)
+    outputs = ratio.shape[-1]
+    if reach is None:
+        return Factors(_factor(ratio, groups, coverage, len(ratio) >= EACH), np.zeros((0, outputs)),
+                       np.zeros((0, outputs)))  # fmt: skip
+    samples = ratio.shape[1]
+    first, last = min(2 * reach, samples // 3), min(reach, samples // 3)
+    inside = _factor(ratio[:, first : samples - last].reshape(-1, outputs), groups, coverage, len(ratio) >= EACH)
+    at = [_factor(_near(ratio, i, outputs), groups, coverage, each=False) for i in range(samples) if i < first]
+    late = [_factor(_near(ratio, i, outputs), groups, coverage, each=False) for i in range(samples - last, samples)]
+    empty = np.zeros((0, outputs))
+    return Factors(inside, np.stack(at) if at else empty, np.stack(late) if late else empty)
+
+
+def _near(ratio: Array, at: int, outputs: int) -> Array:
+    """Ratios of a sample and its two neighbours."""
+    return ratio[:, max(at - 1, 0) : at + 2].reshape(-1, outputs)
+
+
+def _factor(ratio: Array, groups: NDArray[np.int_], coverage: float, each: bool) -> Array:
+    """Factors (outputs,) of ratios (numbers, outputs): one for each output, or for each group."""
     wide = NormalDist().inv_cdf(0.5 + coverage / 2)
-    if draws >= EACH:
+    if each:
         return np.array([quantile(column, coverage) for column in ratio.T]) / wide
     shared = {int(g): quantile(ratio[:, groups == g].ravel(), coverage) for g in np.unique(groups)}
     return np.array([shared[int(g)] for g in groups]) / wide

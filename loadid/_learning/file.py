@@ -16,6 +16,7 @@ from structures.files import _modelfile as modelfile
 from structures.files import _storage as storage
 
 from .adaptation import Adaptation
+from .calibration import Factors
 from .engine import engine
 from .novelty import Novelty
 from .outputs import Outputs
@@ -36,7 +37,7 @@ def save(fitted: Any, path: Any) -> None:
     model = fitted.model
     tree = {
         "version": VERSION, "engine": fitted.engine.name, "map": dict(fitted.engine.arrays()),
-        "outputs": vars(fitted.outputs), "factors": fitted.factors, "novelty": fitted.novelty.arrays(),
+        "outputs": vars(fitted.outputs), "factors": vars(fitted.factors), "novelty": fitted.novelty.arrays(),
         "scale": fitted.scale, "dt": fitted.dt, "facts": dict(fitted.facts), "adaptation": vars(fitted.adaptation),
         "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
         "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
@@ -67,7 +68,7 @@ def load(path: Any, model: Model | None) -> dict[str, Any]:
     outputs = {**tree["outputs"], **{k: tuple(tree["outputs"][k]) for k in ("labels", "units", "sum_labels")}}
     return {
         "model": model, "engine": engine(tree["engine"]).from_arrays(tree["map"]), "outputs": Outputs(**outputs),
-        "factors": tree["factors"], "novelty": Novelty.from_arrays(tree["novelty"]), "scale": tree["scale"],
+        "factors": Factors(**tree["factors"]), "novelty": Novelty.from_arrays(tree["novelty"]), "scale": tree["scale"],
         "dt": tree["dt"], "facts": _plain(tree["facts"]), "adaptation": Adaptation.from_arrays(tree["adaptation"]),
     }  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from structures._model import Model
-from structures.errors import InputError, reals
+from structures.errors import InputError, finite, reals
 
 from .._results.estimate import LoadEstimate
 from .novelty import WORDS, Verdict
@@ -61,8 +61,10 @@ class Outputs:
         else:
             sums, names = np.zeros((0, len(labels))), ()
         if output == "load":
-            step = 1 if basis is None else len(basis.components)
-            return cls(labels, units, None, np.arange(len(labels)) % max(step, 1), sums, names)
+            step = 1 if basis is None else max(len(basis.components), 1)
+            kinds = [(unit, i % step) for i, unit in enumerate(units)]
+            group_of = np.array([list(dict.fromkeys(kinds)).index(kind) for kind in kinds])
+            return cls(labels, units, None, group_of, sums, names)
         if not names:
             raise InputError("these loads have no resultant", where="output", found=f"units {sorted(set(units))}",
                              expected="loads of a basis, or of one unit", hint='output="load"')  # fmt: skip
@@ -88,8 +90,8 @@ class Outputs:
                     raise InputError("no such resultant", where="more", found=repr(label),
                                      expected=f"one of {list(self.sum_labels)}")  # fmt: skip
             rows = np.array([self.sum_labels.index(label) for label in given])
-            return Known(reals(list(given.values()), where="more"), self.sums[rows], self.group_of)
-        values = reals(given, where="more")
+            return Known(_finite(list(given.values())), self.sums[rows], self.group_of)
+        values = _finite(given)
         width = len(self.labels) if self.matrix is None else self.matrix.shape[1]
         if values.ndim == 1 and width == 1 and len(values) > 1:
             values = values[:, None]
@@ -176,6 +178,12 @@ class StaticPosterior:
     def to_arrays(self) -> dict[str, Any]:
         """What a file keeps."""
         return {"kind": "factor", "W": self.W}
+
+
+def _finite(given: Any) -> Array:
+    values = reals(given, where="more")
+    finite(values, where="more", hint="leave records of unknown force out")
+    return values
 
 
 def words(verdict: Verdict) -> str:

@@ -122,6 +122,12 @@ def require_channels(found: Sequence[Channel], own: Sequence[Channel], what: str
                              expected=f"{b.label} in {b.unit}", hint=hint)  # fmt: skip
 
 
+def has_gaps(training: Training) -> bool:
+    """Whether readings are missing among the first examples."""
+    missing = next(iter(training.batches(BATCH))).missing
+    return missing is not None and bool(np.any(missing))
+
+
 def scale_of(training: Training, model: Model) -> Array:
     """Std of the noise of each sensor (sensors,): of the examples, else of the model, else a small share of the data.
 
