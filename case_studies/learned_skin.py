@@ -27,10 +27,6 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
-
-from loadid.generate import TrainingSet
-from structures.errors import InputError
-from tactile import ContactLaw, DepthMap, Eye, LearnedSensor, MultilayerPad, Pad, View
 from tactile.generate import (
     CameraRange,
     ContactRange,
@@ -40,6 +36,10 @@ from tactile.generate import (
     PressDeclaration,
     presses,
 )
+
+from loadid.generate import TrainingSet
+from structures.errors import InputError
+from tactile import ContactLaw, DepthMap, Eye, LearnedSensor, MultilayerPad, Pad, View
 
 Array = np.ndarray
 E, NU, SIZE, THICKNESS = 147e3, 0.45, (16e-3, 14e-3), 3e-3
