@@ -48,6 +48,7 @@ _PUBLIC = {
 _PARTS = {
     "datasets": "tactile.datasets",
     "design": "tactile.design",
+    "generate": "tactile.generate",
     "halfspace": "tactile._closed.halfspace",
     "live": "tactile.live",
     "material": "tactile.material",

@@ -1,10 +1,13 @@
 """Training sets: loads drawn from a declared distribution, and what sensors read of them through an independent model.
 
 A set is a folder of shards that any number of workers write; a `TrainingSet` opens it. Measured pairs of load and
-response are one too (`TrainingSet.of`).
+response are one too (`TrainingSet.of`). What draws is a `DrawMaker`: an object of one's own is as good as ours.
 """
 
 from ._examples import Examples as Examples
 from ._trainingset import TrainingSet as TrainingSet
+from ._work import DrawMaker as DrawMaker
+from ._work import Drawn as Drawn
+from ._work import generate as generate
 
-__all__ = ["Examples", "TrainingSet"]
+__all__ = ["DrawMaker", "Drawn", "Examples", "TrainingSet", "generate"]
