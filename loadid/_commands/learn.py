@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from structures.errors import InputError
+
 from .. import _toml
 from .._toml import PlanReader
 from . import (
@@ -28,13 +30,16 @@ from . import (
 if TYPE_CHECKING:
     from .._families.learned import FittedMap
 
-ACTIONS = ("generate", "fit", "check", "run")
+ACTIONS = ("generate", "fit", "check", "run", "demo")
+DEMOS = "loadid.demos"  # entry points of demonstrations that other packages bring
 NAMES = {
     "plan": ("model", "set", "draws", "seed", "workers", "declaration", "map"),
     "map": ("engine", "output", "hold", "coverage", "seed", "file", "settings"),
 }
 EXAMPLES = """\
 examples:
+  learn maps of a small skin from 1500 simulated presses, with a picture of truth, linear map, network and alarm:
+    loadid learn demo --out learn-demo
   draw the training set that a job declares, and learn a map from it:
     loadid learn generate job.toml
     loadid learn fit job.toml -o map.h5
@@ -123,10 +128,11 @@ def fitted(path: str | Path, progress: Any = None) -> FittedMap:
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument("action", choices=ACTIONS, help="what to do")
-    parser.add_argument("source", metavar="JOB.toml|MAP.h5", help="job (generate, fit), or map (check, run)")
+    parser.add_argument("source", metavar="JOB.toml|MAP.h5", nargs="?", help="job (generate, fit), or map (check, run)")
     parser.add_argument("input", metavar="SET|LOG", nargs="?", help="folder of a held-out set (check), or log (run)")
     parser.add_argument("-o", "--output", metavar="MAP.h5|RESULT.h5", help="file to write (fit, run)")
-    parser.add_argument("--draws", type=count, metavar="N", help="check: of the first N draws")
+    parser.add_argument("--draws", type=count, metavar="N", help="check: of the first N draws; demo: how many to learn")
+    parser.add_argument("--out", metavar="DIR", help="demo: folder to write to (default: learn-demo)")
     parser.add_argument(
         "--response", type=channels, metavar="CH,...", help="run: channels, in the order of the sensors"
     )
@@ -136,16 +142,43 @@ def _configure(parser: ArgumentParser) -> None:
     add_log_options(parser)
 
 
+NEEDS: dict[str, tuple[str, ...]] = {
+    "generate": ("source",), "fit": ("source", "output"), "check": ("source", "input"),
+    "run": ("source", "input", "output"), "demo": (),
+}  # fmt: skip
+
+
 def _run(args: Namespace) -> int:
-    needs = {"generate": (), "fit": ("output",), "check": ("input",), "run": ("input", "output")}[args.action]
-    words = {"input": "SET" if args.action == "check" else "LOG", "output": "-o"}
+    needs = NEEDS[args.action]
+    words = {"source": "MAP.h5" if args.action in ("check", "run") else "JOB.toml",
+             "input": "SET" if args.action == "check" else "LOG", "output": "-o"}  # fmt: skip
     lacking = [words[name] for name in needs if getattr(args, name) is None]
     if lacking:
         raise UsageError(f"learn {args.action} needs {' and '.join(lacking)} (see loadid learn --help)")
-    for name in ("input", "output"):
+    for name, word in words.items():
         if getattr(args, name) is not None and name not in needs:
-            raise UsageError(f"learn {args.action} takes no {words[name]} (see loadid learn --help)")
-    return {"generate": _generate, "fit": _fit, "check": _check, "run": _answer}[args.action](args)
+            raise UsageError(f"learn {args.action} takes no {word} (see loadid learn --help)")
+    if args.out is not None and args.action != "demo":
+        raise UsageError("--out is for the demo only")
+    acts = {"generate": _generate, "fit": _fit, "check": _check, "run": _answer, "demo": _demo}
+    return acts[args.action](args)
+
+
+def _demo(args: Namespace) -> int:
+    """The demonstration that another package brings: this one knows of no skin."""
+    from importlib.metadata import entry_points
+
+    point = next(iter(entry_points(group=DEMOS, name="learn")), None)
+    if point is None:
+        raise InputError("no package here brings a demonstration", where="learn demo", expected="tactile",
+                         hint="python -m pip install loadid")  # fmt: skip
+    shown = point.load()
+    with Bar() as bar:
+        done = shown.demo(
+            args.out or "learn-demo", progress=bar, **({} if args.draws is None else {"draws": args.draws})
+        )
+    emit(args, done.data, shown.text(done))
+    return 0
 
 
 def _generate(args: Namespace) -> int:
