@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 ACTIONS = ("generate", "fit", "check", "run", "demo")
 DEMOS = "loadid.demos"  # entry points of demonstrations that other packages bring
 NAMES = {
-    "plan": ("model", "set", "draws", "seed", "workers", "declaration", "map"),
+    "plan": ("model", "truth", "set", "draws", "seed", "workers", "declaration", "map"),
     "map": ("engine", "output", "hold", "coverage", "seed", "file", "settings"),
 }
 EXAMPLES = """\
@@ -53,7 +53,8 @@ JOB.toml names a model file and the folder of a training set, and may say how ea
     set = "training"
     draws = 600
     seed = 1
-    declaration = "loads.toml"
+    declaration = "loads.toml"      # what is drawn (docs/generate.md)
+    truth = "finer.h5"              # optional: a model better than that of the map
     [map]
     engine = "linear"     # or "torch"
     output = "load"       # or "resultant"
@@ -98,6 +99,8 @@ def generated(path: str | Path, progress: Any = None) -> Any:
     model = load_model(plan.file(job, "model", str(path), folder))
     given = plan.file(job, "declaration", str(path), folder) if isinstance(declared, str) else declared
     extra: dict[str, Any] = {"workers": job["workers"]} if "workers" in job else {}
+    if "truth" in job:
+        extra["truth"] = load_model(plan.file(job, "truth", str(path), folder))
     place = folder / plan.text(job, "set", str(path))
     return histories(model, given, place, draws=job["draws"], seed=job.get("seed", 0), progress=progress, **extra)
 
