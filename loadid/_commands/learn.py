@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 ACTIONS = ("generate", "fit", "check", "run", "demo")
 DEMOS = "loadid.demos"  # entry points of demonstrations that other packages bring
 NAMES = {
-    "plan": ("model", "truth", "set", "draws", "seed", "workers", "declaration", "map"),
+    "plan": ("model", "truth", "sensor", "set", "draws", "seed", "workers", "declaration", "page", "map"),
     "map": ("engine", "output", "hold", "coverage", "seed", "file", "settings"),
 }
 EXAMPLES = """\
@@ -80,31 +80,6 @@ def job_of(path: str | Path) -> tuple[dict[str, Any], PlanReader, Path]:
     return job, plan, Path(path).resolve().parent
 
 
-def generated(path: str | Path, progress: Any = None) -> Any:
-    """The training set of a job, written to its folder; what is there already stays.
-
-    Raises
-    ------
-    InputError
-        From the job, the model and the generator.
-    """
-    from ..generate import histories
-
-    job, plan, folder = job_of(path)
-    declared = job.get("declaration")
-    if not isinstance(declared, str | dict):
-        plan.refused("declaration", declared, "a file, or a table [declaration]")
-    if "draws" not in job:
-        plan.refused("draws", None, "how many")
-    model = load_model(plan.file(job, "model", str(path), folder))
-    given = plan.file(job, "declaration", str(path), folder) if isinstance(declared, str) else declared
-    extra: dict[str, Any] = {"workers": job["workers"]} if "workers" in job else {}
-    if "truth" in job:
-        extra["truth"] = load_model(plan.file(job, "truth", str(path), folder))
-    place = folder / plan.text(job, "set", str(path))
-    return histories(model, given, place, draws=job["draws"], seed=job.get("seed", 0), progress=progress, **extra)
-
-
 def fitted(path: str | Path, progress: Any = None) -> FittedMap:
     """The map of a job.
 
@@ -134,8 +109,10 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("source", metavar="JOB.toml|MAP.h5", nargs="?", help="job (generate, fit), or map (check, run)")
     parser.add_argument("input", metavar="SET|LOG", nargs="?", help="folder of a held-out set (check), or log (run)")
     parser.add_argument("-o", "--output", metavar="MAP.h5|RESULT.h5", help="file to write (fit, run)")
-    parser.add_argument("--draws", type=count, metavar="N", help="check: of the first N draws; demo: how many to learn")
-    parser.add_argument("--out", metavar="DIR", help="demo: folder to write to (default: learn-demo)")
+    parser.add_argument("--draws", type=count, metavar="N", help="generate, demo: how many; check: of the first N")
+    parser.add_argument(
+        "--out", metavar="DIR", help="generate: folder of the set; demo: folder to write to (default: learn-demo)"
+    )
     parser.add_argument(
         "--response", type=channels, metavar="CH,...", help="run: channels, in the order of the sensors"
     )
@@ -161,8 +138,8 @@ def _run(args: Namespace) -> int:
     for name, word in words.items():
         if getattr(args, name) is not None and name not in needs:
             raise UsageError(f"learn {args.action} takes no {word} (see loadid learn --help)")
-    if args.out is not None and args.action != "demo":
-        raise UsageError("--out is for the demo only")
+    if args.out is not None and args.action not in ("demo", "generate"):
+        raise UsageError("--out is for generate and the demo only")
     acts = {"generate": _generate, "fit": _fit, "check": _check, "run": _answer, "demo": _demo}
     return acts[args.action](args)
 
@@ -185,8 +162,10 @@ def _demo(args: Namespace) -> int:
 
 
 def _generate(args: Namespace) -> int:
+    from ..generate import generate_from
+
     with Bar() as bar:
-        found = generated(args.source, bar)
+        found = generate_from(args.source, args.out, draws=args.draws, progress=bar)
     data = {"draws": len(found), "kinds": list(found.kinds), "fingerprint": found.fingerprint}
     emit(args, data, f"{len(found)} draws of {', '.join(found.kinds)}; fingerprint {found.fingerprint[:12]}")
     return 0

@@ -10,6 +10,8 @@ from ._histories import ModelRange as ModelRange
 from ._histories import ReadingRange as ReadingRange
 from ._histories import histories as histories
 from ._loads import LoadRange as LoadRange
+from ._overview import overview as overview
+from ._plan import generate_from as generate_from
 from ._trainingset import TrainingSet as TrainingSet
 from ._work import DrawMaker as DrawMaker
 from ._work import Drawn as Drawn
@@ -17,5 +19,5 @@ from ._work import generate as generate
 
 __all__ = [
     "DrawMaker", "Drawn", "Examples", "HistoryDeclaration", "LoadRange", "ModelRange", "ReadingRange", "TrainingSet",
-    "generate", "histories",
+    "generate", "generate_from", "histories", "overview",
 ]  # fmt: skip

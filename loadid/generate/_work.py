@@ -166,7 +166,7 @@ def drawn_as(maker: DrawMaker, seed: int, number: int) -> Drawn:
     """
     for attempt in range(REJECTED):
         try:
-            found = maker.draw(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, attempt))))
+            found = maker.draw(numbers_of(seed, number, attempt))
         except NotIdentifiable as error:
             said = str(error)
             continue
@@ -175,6 +175,11 @@ def drawn_as(maker: DrawMaker, seed: int, number: int) -> Drawn:
     raise InputError("what is declared has hardly ever an answer", where=f"draw {number}",
                      found=f"{REJECTED} times in a row: {said}", expected="ranges of loads that a model answers",
                      hint="narrow the ranges of the declaration")  # fmt: skip
+
+
+def numbers_of(seed: int, number: int, attempt: int) -> np.random.Generator:
+    """The random numbers of an attempt at a draw."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, attempt)))
 
 
 # -- files ------------------------------------------------------------------------------------------------------------

@@ -66,6 +66,7 @@ class PressMaker:
         ground = self._new_ground(self.layer)
         self._spread = spread_over(body, ground) if isinstance(body, Pad) else _on_grid(sensor.geometry, ground)
         hats = sensor.geometry["kind"] == "hats"
+        self.places = np.asarray(sensor.geometry["coordinates"])
         self._areas = np.asarray(sensor.geometry["measures"]) if hats else np.ones(len(sensor.geometry["measures"]))
         self._grounds: dict[int, Ground] = {}
         self._edged: dict[int, Edged] = {}
