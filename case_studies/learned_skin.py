@@ -27,6 +27,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
+
+from loadid.generate import TrainingSet
+from structures.errors import InputError
+from tactile import ContactLaw, DepthMap, Eye, LearnedSensor, MultilayerPad, Pad, View
 from tactile.generate import (
     CameraRange,
     ContactRange,
@@ -36,10 +40,6 @@ from tactile.generate import (
     PressDeclaration,
     presses,
 )
-
-from loadid.generate import TrainingSet
-from structures.errors import InputError
-from tactile import ContactLaw, DepthMap, Eye, LearnedSensor, MultilayerPad, Pad, View
 
 Array = np.ndarray
 E, NU, SIZE, THICKNESS = 147e3, 0.45, (16e-3, 14e-3), 3e-3
@@ -142,7 +142,7 @@ class Row:
     error : float
         Of the map, median.
     normal, shear : float
-        Mean error of the normal force over the true one, and of the shear over the mean normal force.
+        Error of the normal force over the true one, median, and mean error of the shear over the mean normal force.
     covered, loaded : float
         Share of all tractions in their 95 % band, and of those that carry a load.
     wrench : float
@@ -181,7 +181,8 @@ def judged(
         ])  # fmt: skip
     x = np.array(rows, float)
     mean = x.mean(axis=0)
-    return Row(way, name, float(np.median(x[:, 0])), mean[1], mean[2] / mean[3], *map(float, mean[4:]))
+    middle = np.median(x[:, :2], axis=0)
+    return Row(way, name, float(middle[0]), float(middle[1]), mean[2] / mean[3], *map(float, mean[4:]))
 
 
 def learned(of: MultilayerPad, sets: Sets, engine: str, progress: Any = None, **settings: Any) -> LearnedSensor:

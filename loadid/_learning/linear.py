@@ -28,6 +28,7 @@ MOST = 480  # features of a window
 ENOUGH = 60  # rows for each feature, beyond which nothing more is read
 RIDGES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-1, 11)])  # relative to the largest singular value
 AS_GOOD = 1.02  # of the smallest error, up to which a window is as good as any
+ENOUGH_RANK = 0.9  # of the loads that act: some at a rim act together with others alone
 SPANNED = 1e-9  # singular value of the outputs, over the largest, from which a direction is in the set
 ROWS = 20_000  # of features that are held at once
 
@@ -184,7 +185,7 @@ def require_span(examples: Triangle, sensors: int) -> None:
     vary = int(np.count_nonzero(np.linalg.norm(targets, axis=0) > SPANNED * np.linalg.norm(targets)))
     s = np.linalg.svd(targets, compute_uv=False)
     rank = int(np.count_nonzero(s > SPANNED * s[0])) if len(s) and s[0] > 0 else 0
-    wanted = min(max(vary, 1), sensors)
+    wanted = int(np.ceil(ENOUGH_RANK * min(max(vary, 1), sensors)))
     if rank < wanted or examples.rows <= wanted:
         raise InputError(
             "the training set does not span the loads", where="training",

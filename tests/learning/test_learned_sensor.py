@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loadid._learning.network import Schedule
+from loadid.cli import main
 from structures.errors import InputError
 from tactile import ForceMap, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
 
@@ -115,6 +116,37 @@ def test_a_map_is_reported_drawn_and_kept_as_any_other(learned: LearnedSensor, t
     found.plot(path=tmp_path / "force.png")
     assert (tmp_path / "force.png").stat().st_size > 10_000
     assert "learned map" in (tmp_path / "force.html").read_text("utf-8")
+
+
+def test_the_command_takes_a_map(learned: LearnedSensor, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    motion, _ = presses(COUNT, 1)
+    table = """[pad]
+size = ["10 mm", "9 mm"]
+thickness = "2 mm"
+E = "0.147 MPa"
+nu = 0.45
+pitch = "1 mm"
+layers = 2
+[markers]
+unit = "m"
+noise = "2 um"
+[contact]
+penalty = "identity"
+"""
+    (tmp_path / "pad.toml").write_text(table, "utf-8")
+    strange = 1e-4 * np.random.default_rng(0).standard_normal(motion[0].shape)
+    shown = np.array([0 * motion[0], *motion[:3], strange]) + places()
+    rows = [f"{k + 1},{i},{x:.9f},{y:.9f}" for k, frame in enumerate(shown) for i, (x, y) in enumerate(frame)]
+    (tmp_path / "seen.csv").write_text("\n".join(["frame,id,x,y", *rows]), "utf-8")
+    learned.save(tmp_path / "map.h5")
+    words = ["tactile", str(tmp_path / "seen.csv"), "--pad", str(tmp_path / "pad.toml"), "--unloaded", "1",
+             "--allow", "W115", "--map", str(tmp_path / "map.h5"), "-o", str(tmp_path / "force.h5")]  # fmt: skip
+    assert main(words) == 0
+    assert "LearnedSensor: linear, 300 presses" in capsys.readouterr().out
+    found = ForceMap.read(tmp_path / "force.h5")
+    assert list(found.facts.answered_by)[1:] == ["learned map"] * 3 + ["physics"]  # type: ignore[arg-type]
+    assert away(found.frame(1), learned.estimate(motion[0]).load) < 0.01  # micrometres to nine digits
+    assert main([*words, "--sensor", "gelslim"]) == 3
 
 
 def test_zero_is_that_of_map_and_physics() -> None:

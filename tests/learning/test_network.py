@@ -84,11 +84,11 @@ def test_numpy_torch_and_onnxruntime_agree(name: str) -> None:
     pytest.importorskip("torch")
     pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
-    from loadid._learning.network.exchange import runner, to_onnx
+    from loadid._learning.network.exchange import Runner, to_onnx
 
     graph, x = weighed(name), values(name)
     assert off(by_torch(graph, x), graph(x)) <= 1e-5
-    assert off(runner(to_onnx(graph, x.ndim - 2))(x), graph(x)) <= 1e-5
+    assert off(Runner(to_onnx(graph, x.ndim - 2))(x), graph(x)) <= 1e-5
 
 
 def test_mean_and_std_are_those_of_the_examples() -> None:

@@ -87,6 +87,7 @@ from tactile import (
     Layer,
     LayerGrid,
     LayerSensor,
+    LearnedSensor,
     Markers,
     MarkerTracker,
     MultilayerPad,
@@ -103,6 +104,7 @@ from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 from tests.golden import problems as p
 from tests.inverse.statespace.cases import case
 from tests.learning import made as learned
+from tests.learning import presses as taught
 from tests.tactile import test_eye as seen
 
 DT = p.DT
@@ -649,6 +651,8 @@ add("tactile/GelSlim, friction", partial(slim, contact=ContactLaw(friction=0.6))
 add("tactile/GelForce", gel, partial(frame, u=gel_motion()))
 add("tactile/LayerSensor", layered, partial(frame, u=p.moved()[1]))
 add("tactile/LayerSensor, scattered", partial(layered, True), partial(frame, u=p.moved()[1]))
+add("tactile/LearnedSensor", lambda: LearnedSensor.fit(taught.sensor(), taught.training(), engine="linear"),
+    partial(frame, u=taught.presses(1, 1)[0][0]))  # fmt: skip
 
 
 def pressing() -> RigidBody:

@@ -131,7 +131,7 @@ class NetworkEngine:
     @cached_property
     def run(self) -> Callable[[Array], Array]:
         """What carries the network out."""
-        return self.network if self.runner == "numpy" else exchange.runner(self.to_onnx())
+        return self.network if self.runner == "numpy" else exchange.Runner(self.to_onnx())
 
     def arrays(self) -> dict[str, Any]:
         """What a file keeps."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -58,7 +57,7 @@ def to_onnx(graph: Graph, axes: int) -> bytes:
     return bytes(model.SerializeToString())
 
 
-def runner(model: bytes) -> Callable[[Array], Array]:
+class Runner:
     """What an ONNX model makes of values, by onnxruntime on one thread.
 
     Raises
@@ -66,15 +65,20 @@ def runner(model: bytes) -> Callable[[Array], Array]:
     InputError
         onnxruntime is not installed.
     """
-    ort = library("onnxruntime")
-    settings = ort.SessionOptions()
-    settings.intra_op_num_threads = settings.inter_op_num_threads = 1
-    session = ort.InferenceSession(model, settings, providers=["CPUExecutionProvider"])
 
-    def run(values: Array) -> Array:
-        return np.asarray(session.run(["out"], {"in": np.asarray(values, np.float32)})[0])
+    def __init__(self, model: bytes) -> None:
+        ort = library("onnxruntime")
+        settings = ort.SessionOptions()
+        settings.intra_op_num_threads = settings.inter_op_num_threads = 1
+        self._model = model
+        self._session = ort.InferenceSession(model, settings, providers=["CPUExecutionProvider"])
 
-    return run
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Runner, (self._model,)
+
+    def __call__(self, values: Array) -> Array:
+        """What comes out of what goes in."""
+        return np.asarray(self._session.run(["out"], {"in": np.asarray(values, np.float32)})[0])
 
 
 def _nodes(helper: Any, step: Step) -> list[Any]:
