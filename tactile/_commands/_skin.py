@@ -27,7 +27,7 @@ from .._sensors.observation import Markers
 from ..generate import ContactRange, IndenterRange, PressDeclaration, presses
 from ..vision._images import grid
 
-DRAWS, TESTED, CHOSEN = 1500, 20, 6
+DRAWS, TESTED, CHOSEN = 1500, 8, 6
 SIZE, THICKNESS, E, NU, NOISE = (12e-3, 12e-3), 2.5e-3, 147e3, 0.45, 2e-6
 KNOWN = (
     IndenterRange("sphere", 2.0, radius=(2e-3, 6e-3)),
@@ -36,7 +36,6 @@ KNOWN = (
     IndenterRange("polygon", radius=(1e-3, 2e-3), corners=(3, 6)),
 )
 RING = IndenterRange("ring", outer=(1.6e-3, 2e-3), inner=(1e-3, 1.3e-3))
-PRESSED = {"depth": (0.1e-3, 0.4e-3), "shear": (0.0, 0.25e-3), "friction": (0.3, 0.9)}
 PLATE = IndenterRange("flat", radius=(3e-3, 3.4e-3), depth=(1.1e-3, 1.3e-3))
 PLAN = Schedule(epochs=20, batch=32)
 WITHIN, MIDDLE = (-3e-3, 3e-3), (-1e-3, 1e-3)
@@ -125,8 +124,8 @@ def _drawn(
     of: MultilayerPad, bodies: Sequence[IndenterRange], folder: Path, draws: int, seed: int, progress: Any,
     within: tuple[float, float] = WITHIN,
 ) -> TrainingSet:  # fmt: skip
-    return presses(of, PressDeclaration(bodies, ContactRange(x=within, y=within, **PRESSED)), folder,
-                   draws=draws, seed=seed, progress=progress)  # fmt: skip
+    contact = ContactRange(x=within, y=within, depth=(0.1e-3, 0.4e-3), shear=(0.0, 0.25e-3), friction=(0.3, 0.9))
+    return presses(of, PressDeclaration(bodies, contact), folder, draws=draws, seed=seed, progress=progress)
 
 
 def _learned(

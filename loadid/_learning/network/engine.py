@@ -193,10 +193,10 @@ def _trained(
     form: Form, fitting: tuple[Array, Array, Array], choosing: tuple[Array, Array, Array], plan: Schedule, seed: int,
     say: Callable[[float, str], None], checkpoint: str | os.PathLike[str] | None,
 ) -> Trained:  # fmt: skip
-    pairs = [_pairs(form, *examples) for examples in (fitting, choosing)]
+    learned, held = (_pairs(form, *examples) for examples in (fitting, choosing))
     mirrors = form.mirrors if isinstance(form, Maps) and form.grid.components == 3 else None
     return train(
-        form.graph(), *pairs, plan, seed=seed, mirrors=mirrors, checkpoint=checkpoint, mark=_mark(fitting),
+        form.graph(), learned, held, plan, seed=seed, mirrors=mirrors, checkpoint=checkpoint, mark=_mark(fitting),
         progress=lambda epoch, epochs: say(0.2 + 0.8 * epoch / epochs, f"epoch {epoch} of at most {epochs}"),
     )  # fmt: skip
 

@@ -285,6 +285,8 @@ def _resumed(path: Path | None, name: str) -> _State | None:
     if tree["of"] != name:
         raise InputError("a checkpoint of another training", where=str(path), found="other examples or settings",
                          expected="those of this one", hint="remove the file, or name another")  # fmt: skip
-    parts = ({key: np.asarray(v, np.float32) for key, v in tree[part].items()} for part in
-             ("weights", "first", "second", "kept"))  # fmt: skip
-    return _State(*parts, losses=[(float(a), float(b)) for a, b in tree["losses"]])
+    weights, first, second, kept = (
+        {key: np.asarray(v, np.float32) for key, v in tree[part].items()}
+        for part in ("weights", "first", "second", "kept")
+    )
+    return _State(weights, first, second, kept, [(float(a), float(b)) for a, b in tree["losses"]])
