@@ -22,7 +22,6 @@ from ._work import Drawn, generate
 
 Array = NDArray[np.float64]
 MODELS = 16  # sets of parameters that are drawn from, evenly over their ranges
-PARAMETERS = ("stiffness", "mass", "damping")
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,11 @@ class ModelRange(Ranges):
     mass: Range = field(default=(1.0, 1.0), metadata=within("", 0.01, 100.0))
     damping: Range = field(default=(1.0, 1.0), metadata=within("", 0.001, 1000.0))
     gain: Range = field(default=(1.0, 1.0), metadata=within("", 0.01, 100.0))
+
+    @property
+    def parameters(self) -> dict[str, Range]:
+        """Ranges of the parameters of the structure."""
+        return {"stiffness": self.stiffness, "mass": self.mass, "damping": self.damping}
 
     @property
     def exact(self) -> bool:
@@ -302,14 +306,13 @@ class HistoryMaker:
 
     @property
     def _variants(self) -> int:
-        wide = [low < high for low, high in (getattr(self.declared.model, name) for name in PARAMETERS)]
-        return MODELS if any(wide) else 1
+        wide = any(low < high for low, high in self.declared.model.parameters.values())
+        return MODELS if wide else 1
 
     def _factors(self, number: int) -> dict[str, float]:
         """Factors of stiffness, mass and damping, which fill their ranges evenly (Halton)."""
         found = {}
-        for name, base in zip(PARAMETERS, (2, 3, 5), strict=True):
-            low, high = getattr(self.declared.model, name)
+        for (name, (low, high)), base in zip(self.declared.model.parameters.items(), (2, 3, 5), strict=True):
             found[name] = float(low + (high - low) * halton(number + 1, base))
         return found
 

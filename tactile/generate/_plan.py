@@ -17,6 +17,7 @@ from .._pad.pad import Pad
 from .._pad.table import TomlTable
 from .._sensors.linear import MultilayerPad
 from .._sensors.observation import Markers
+from ..vision._detect import Detector
 from ..vision._eye import Eye
 from ..vision._images import Scene, grid
 from ._declared import PressDeclaration
@@ -91,10 +92,21 @@ def _eye(settings: padfile.SensorFile, declared: PressDeclaration, dots: Array) 
     assert view is not None
     middle = {name: float(np.mean(getattr(image, name))) for name in
               ("radius", "blur", "noise", "background", "dot", "shading")}  # fmt: skip
-    rest, scene = np.column_stack([dots, np.zeros(len(dots))]), Scene(image.size, **middle)
-    reference, *more = (scene.photograph(view, rest, seed=k) for k in range(QUIET + 1))
-    size = settings.body.get("size")
-    tracking = dict(settings.tracking)
+    places = view.to_pixels(dots)
+    beside = view.to_pixels(dots + np.array([middle["radius"], 0.0]))
+    radius = float(np.median(np.hypot(*(beside - places).T)))
+    told = {"radius": radius, "pitch": _apart(places), **settings.tracking}
+    more = {"gate": told.pop("gate")} if "gate" in told else {}
+    detector, size = Detector(**told), settings.body.get("size")
     if settings.noise is not None and settings.noise[1] == "px":
-        return Eye(view, reference, noise=settings.noise[0], size=size, **tracking)
-    return Eye(view, reference, unloaded=more, size=size, **tracking)
+        return Eye(view, places, noise=settings.noise[0], size=size, detector=detector, **more)
+    rest, scene = np.column_stack([dots, np.zeros(len(dots))]), Scene(image.size, **middle)
+    quiet = [scene.photograph(view, rest, seed=k) for k in range(QUIET)]
+    return Eye(view, places, unloaded=quiet, size=size, detector=detector, **more)
+
+
+def _apart(places: Array) -> float:
+    """Median distance of neighbouring dots (px)."""
+    from scipy.spatial import cKDTree
+
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))

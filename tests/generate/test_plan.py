@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from loadid import InputError
+from loadid import InputError, _toml
 from loadid.generate import TrainingSet, generate_from, histories, overview
+from loadid.generate._work import head_of
+from tactile.generate import _plan as plan
 
 from .made import chain
 from .test_histories import TEXT
@@ -86,6 +88,15 @@ def test_a_gel_pad_is_drawn_for_too(folder: Path) -> None:
     found = generate_from(folder / "presses.toml")
     assert (len(found.sensors), found.kinds) == (2 * 8 * 9, ("sphere",))
     assert "sphere" in (folder / "presses" / "set.html").read_text()
+
+
+def test_the_large_set_is_pinned() -> None:
+    """5000 rendered presses by ``generate_from("tests/generate/skin.toml")``: who they are, without making them."""
+    path = Path(__file__).with_name("skin.toml")
+    job = _toml.read(path)
+    maker, _ = plan.maker(job, path)
+    assert job["draws"] == 5000
+    assert head_of(maker, job["draws"], job["seed"]).fingerprint.startswith("8ef12e142df84a0b")
 
 
 @pytest.mark.parametrize(

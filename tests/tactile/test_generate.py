@@ -124,9 +124,9 @@ def test_a_picture_is_the_image_of_its_draw() -> None:
 
 
 def test_the_eye_finds_what_the_markers_do() -> None:
-    """Images and motion of one press: the same numbers are drawn up to the reading."""
+    """Images and motion of one press: the same numbers are drawn up to the reading. The camera sits a pixel aside."""
     declared = g.only(SPHERE, x=0.0, y=0.0, depth=0.2e-3, shear=0.1e-3)
-    declared = PressDeclaration(declared.indenter, declared.contact, image=g.DECLARED.image)
+    declared = PressDeclaration(declared.indenter, declared.contact, camera=g.DECLARED.camera, image=g.DECLARED.image)
     sensor = g.seeing()
     blind = type(sensor)(sensor.pad, sensor.markers, penalty="identity")
     image = drawn_as(PressMaker(sensor, declared), 4, 0)
