@@ -171,7 +171,8 @@ def show(name: str, trials: Sequence[Trial]) -> str:
     """The table of one map in text."""
     inside = [t.novelty for t in trials if t.kind not in OUTSIDE]
     lines = [
-        f"{name}: errors relative, medians; alarm is the share of records answered by Tikhonov",
+        f"{name}: errors relative, of the map medians over all records, of what is answered and of Tikhonov over the "
+        "first; alarm is the share of records answered by Tikhonov",
         f"{'load':18s} {'map alone':>9s} {'answered':>9s} {'Tikhonov':>9s} {'coverage':>9s} {'alarm':>6s} {'AUC':>6s}",
     ]
     for kind in KINDS:
@@ -190,7 +191,7 @@ def show(name: str, trials: Sequence[Trial]) -> str:
     return "\n".join(lines)
 
 
-def all_trials(study: Study, learned: FittedMap, *, known: int = 200, other: int = 20, asked: int = 3) -> list[Trial]:
+def all_trials(study: Study, learned: FittedMap, *, known: int = 200, other: int = 20, asked: int = 1) -> list[Trial]:
     """Records of every kind: so many in distribution, so many of each other kind."""
     return [
         trial
