@@ -172,8 +172,8 @@ def show(name: str, trials: Sequence[Trial]) -> str:
     inside = [t.novelty for t in trials if t.kind not in OUTSIDE]
     lines = [
         (
-            f"{name}: errors relative, of the map medians over all records, of what is answered and of Tikhonov over the "
-            "first; alarm is the share of records answered by Tikhonov"
+            f"{name}: errors relative, of the map medians over all records, of what is answered and of Tikhonov over "
+            "the first; alarm is the share of records answered by Tikhonov"
         ),
         f"{'load':18s} {'map alone':>9s} {'answered':>9s} {'Tikhonov':>9s} {'coverage':>9s} {'alarm':>6s} {'AUC':>6s}",
     ]
