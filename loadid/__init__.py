@@ -19,6 +19,7 @@ _PUBLIC = {
     "HarmonicInversion": "loadid._families.harmonic",
     "InputError": "structures.errors",
     "Lambda": "loadid.settings",
+    "LearnedMap": "loadid._families.learned",
     "LoadEstimate": "loadid._results.estimate",
     "LoadTracker": "loadid._families.kalman",
     "LocationSearch": "loadid._families.location",
@@ -43,6 +44,7 @@ _PUBLIC = {
     "compare_domains": "loadid._families.domains",
     "identify": "loadid._commands.identify",
     "load": "loadid._results.estimate",
+    "load_map": "loadid._families.learned",
     "q_sweep": "loadid._families.tracking.sweep",
     "read": "loadid._readers",
     "read_all": "loadid._readers",
@@ -53,6 +55,7 @@ _PUBLIC = {
 }
 _ALSO = {
     "Alignment": "loadid._align",
+    "FittedMap": "loadid._families.learned",
     "Folder": "loadid._folders",
     "LocationResult": "loadid._results.location",
 }  # to import for a type; nobody makes one by hand

@@ -29,6 +29,7 @@ _PUBLIC = {
     "Layer": "tactile._closed.layer",
     "LayerGrid": "tactile._closed.gridded",
     "LayerSensor": "tactile._sensors.layered",
+    "LearnedSensor": "tactile._sensors.learned",
     "MarkerTracker": "tactile.vision._tracker",
     "Markers": "tactile._sensors.observation",
     "Mindlin": "tactile._closed.contact",
@@ -47,6 +48,7 @@ _PUBLIC = {
 _PARTS = {
     "datasets": "tactile.datasets",
     "design": "tactile.design",
+    "generate": "tactile.generate",
     "halfspace": "tactile._closed.halfspace",
     "live": "tactile.live",
     "material": "tactile.material",

@@ -26,10 +26,10 @@ PUBLIC = (
     "structures", "structures.bases", "structures.errors", "structures.files", "structures.shape_sensing",
     "structures.units",
     "loadid", "loadid.codes", "loadid.constraints", "loadid.datasets", "loadid.design", "loadid.fullfield",
-    "loadid.paths", "loadid.priors",
-    "loadid.settings", "loadid.sources", "loadid.validate", "loadid.vibration",
-    "tactile", "tactile.datasets", "tactile.design", "tactile.live", "tactile.material", "tactile.metrics",
-    "tactile.vision",
+    "loadid.generate", "loadid.paths", "loadid.priors", "loadid.settings", "loadid.sources", "loadid.validate",
+    "loadid.vibration",
+    "tactile", "tactile.datasets", "tactile.design", "tactile.generate", "tactile.live", "tactile.material",
+    "tactile.metrics", "tactile.vision",
 )  # fmt: skip
 HEAVY = ("numpy", "scipy", "matplotlib", "h5py", "numba", "casadi", "filterpy", "clarabel", "cv2", "pyuff", "skfem")
 

@@ -93,6 +93,7 @@ def test_the_default_install_has_what_the_packages_import() -> None:
         {line.split(">")[0] for line in declared}
         | {"cv2", "PIL", "distributed", "pyarrow", "fatpack", "paho", "zmq", "mcap"}
         | {"nptdms", "asammdf", "openpyxl", "rosbags", "pymseed", "meshio"}
+        | {"torch"}
         | {*PACKAGES}
         | sys.stdlib_module_names
     )

@@ -26,7 +26,7 @@ from typing import Any, BinaryIO, Protocol
 from structures.errors import InputError
 
 from .plan import Plan
-from .records import Chunk, Manifest, Order, part_of, pieces_of
+from .records import Chunk, Manifest, part_of, pieces_of
 from .work import Done, scratch_of, work
 
 log = logging.getLogger(__name__)
@@ -48,10 +48,10 @@ class Crew(Protocol):
     def room(self) -> int:
         """How many chunks may be given out at a time."""
 
-    def submit(self, chunk: Chunk, order: Order) -> Future[Done]:
-        """Give a chunk to somebody who is free."""
+    def submit(self, *given: Any) -> Future[Any]:
+        """Give a chunk, and what belongs to it, to somebody who is free."""
 
-    def lost(self, future: Future[Done]) -> bool:
+    def lost(self, future: Future[Any]) -> bool:
         """Whether the worker of a chunk was lost; it is free again."""
 
     def close(self) -> None:
@@ -66,29 +66,31 @@ class Processes:
     size : int
     memory : float, optional
         Bytes that one may take beside what it takes at its start.
+    task : callable
+        A function of a module: what is done with a chunk and what belongs to it.
     """
 
-    def __init__(self, size: int, memory: float | None = None) -> None:
-        self.size, self.room, self.memory = size, size, memory
+    def __init__(self, size: int, memory: float | None = None, task: Callable[..., Any] = work) -> None:
+        self.size, self.room, self.memory, self.task = size, size, memory, task
         self._pools: dict[int, ProcessPoolExecutor] = {}
-        self._at: dict[Future[Done], int] = {}
+        self._at: dict[Future[Any], int] = {}
         self._who: dict[int, Future[int]] = {}
         self._unborn = 0
 
-    def submit(self, chunk: Chunk, order: Order) -> Future[Done]:
+    def submit(self, *given: Any) -> Future[Any]:
         """Give a chunk to a process that is free."""
         place = next(k for k in range(self.size) if k not in self._at.values())
         if place not in self._pools:
             self._start(place)
         try:
-            future = self._pools[place].submit(work, chunk, order)
+            future = self._pools[place].submit(self.task, *given)
         except BrokenProcessPool:  # lost while it had nothing to do
             self._start(place)
-            future = self._pools[place].submit(work, chunk, order)
+            future = self._pools[place].submit(self.task, *given)
         self._at[future] = place
         return future
 
-    def lost(self, future: Future[Done]) -> bool:
+    def lost(self, future: Future[Any]) -> bool:
         """Whether the process of a chunk is gone.
 
         Raises
@@ -159,6 +161,8 @@ class Cluster:
     ----------
     address : str
         As ``tcp://host:8786``.
+    task : callable
+        As of `Processes`; the workers have its module.
 
     Raises
     ------
@@ -166,7 +170,7 @@ class Cluster:
         dask.distributed is not installed, or nobody answers.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, task: Callable[..., Any] = work) -> None:
         try:
             from distributed import Client, KilledWorker
         except ImportError:
@@ -178,7 +182,7 @@ class Cluster:
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError("the scheduler does not answer", where="--scheduler", found=f"{address}: {error}"[:200],
                              expected="the address of a dask scheduler, as tcp://host:8786") from None  # fmt: skip
-        self._killed = KilledWorker
+        self._killed, self.task = KilledWorker, task
         self._executor: Executor = self._client.get_executor(pure=False, retries=0)
         self._out = 0
 
@@ -192,11 +196,11 @@ class Cluster:
         """Chunks that are given out at a time: one for each thread, and one that waits for it."""
         return 2 * self.size
 
-    def submit(self, chunk: Chunk, order: Order) -> Future[Done]:
+    def submit(self, *given: Any) -> Future[Any]:
         """Give a chunk to the scheduler."""
-        return self._executor.submit(work, chunk, order)
+        return self._executor.submit(self.task, *given)
 
-    def lost(self, future: Future[Done]) -> bool:
+    def lost(self, future: Future[Any]) -> bool:
         """Whether so many workers died of a chunk that the scheduler gave it up."""
         return isinstance(future.exception(), self._killed)
 

@@ -40,6 +40,7 @@ from ._settings import given as given_settings
 if TYPE_CHECKING:
     from structures._model import Model
 
+    from .._families.learned import FittedMap
     from .._record import Record
     from .._results.estimate import LoadEstimate
     from .._results.location import LocationResult
@@ -66,7 +67,7 @@ JOB = (
 
 def identify(
     log: str | Path | Record | Any,
-    model: str | Path | Model,
+    model: str | Path | Model | FittedMap,
     *,
     family: str = "auto",
     responses: Sequence[str] | None = None,
@@ -80,7 +81,7 @@ def identify(
     ----------
     log : path, Record, Spectra, CrossSpectra, or mapping of sensor to reading
         Of static readings also a text file with one row for each sensor, its label and its number.
-    model : path or Model
+    model : path, Model or learned map
     family : str
         ``"auto"`` takes what model and data ask for (`loadid.AutomaticInversion`); where a setting is given that says
         more of the prior than it takes, the plain family of the data. Else ``"deconvolution"``, ``"sparse"``,
@@ -110,7 +111,7 @@ def identify(
     """
     from dataclasses import replace
 
-    own = load_model(model) if isinstance(model, str | Path) else model
+    own, fitted = _opened(model)
     settings = {name: value for name, value in options.items() if value is not None}
     labels = [s.label for s in own.sensors]
     found: Any = log
@@ -118,6 +119,8 @@ def identify(
         static = family == "static" or (family == "auto" and own.gives("static"))
         table = sensor_table(log, labels) if static and record is None and not reading else None
         found = _read(log, record, reading) if table is None else table
+    if fitted is not None:
+        return _mapped(fitted, found, responses, settings, family)
     taken = family_of(family, settings, own, found)
     require_known(taken, {name: None for name in settings if name not in ("progress", "constraints")})
     notes = [*found.notes, *inputs.lacking(found, settings)] if _is_record(found) else []
@@ -126,6 +129,36 @@ def identify(
     except InputError as error:
         raise (_with_contradiction(error, found) if _is_record(found) else error) from error
     return replace(estimate, provenance={**estimate.provenance, "notes": notes}) if notes else estimate
+
+
+def _opened(given: str | Path | Model | FittedMap) -> tuple[Model, FittedMap | None]:
+    """A forward model, of a file where one is named; and the learned map that it belongs to, where that was given."""
+    from .._learning.file import KIND
+
+    if isinstance(given, str | Path):
+        path = storage.as_path(given)
+        if not (path.is_file() and path.suffix.lower() in storage.HDF5 and storage.kind_of(path) == KIND):
+            return load_model(given), None
+        from .._families.learned import load_map
+
+        given = load_map(path)
+    own = getattr(given, "model", None)  # models have none
+    return (given, None) if own is None else (own, given)  # type: ignore[return-value]
+
+
+def _mapped(
+    fitted: FittedMap, found: Any, responses: Sequence[str] | None, settings: Mapping[str, Any], family: str
+) -> LoadEstimate:  # fmt: skip
+    """The answer of a learned map, which has its settings."""
+    given = [name for name in settings if name not in ("progress", "mean", "at")]
+    if given or family != "auto":
+        raise InputError("a learned map has its settings", where="identify",
+                         found=", ".join(given) or f"family {family}", expected="none",
+                         hint="leave them out, or give a model")  # fmt: skip
+    if _is_record(found):
+        found = responses_of(found, fitted.model, responses, None)
+        found = inputs.reading(found, dict(settings)) if fitted.dt is None else found
+    return fitted.estimate(found)
 
 
 def family_of(family: str, settings: Mapping[str, Any], model: Model, found: Any) -> str:
@@ -331,7 +364,7 @@ def _run(args: Namespace) -> int:
                     [job["log"], job["model"]])  # fmt: skip
     if job.get("allow"):
         job["allow"] = list(known_codes(job["allow"], where="--allow"))
-    model = load_model(job["model"])
+    model, fitted = _opened(job["model"])
     labels = [s.label for s in model.sensors]
     family = job.get("family", "auto")
     table = None
@@ -343,9 +376,11 @@ def _run(args: Namespace) -> int:
                          expected="a log with a channel of the load", hint="leave --truth out")  # fmt: skip
     truth = None if job.get("truth") is None else known_load(log, model, job["truth"])
     options = {name: value for name, value in job.items() if name in OPTIONS}
-    job["family"] = family_of(family, options, model, log)
+    job["family"] = family if fitted is not None else family_of(family, options, model, log)
     with Bar() as bar:
-        estimate = identify(log, model, family=job["family"], responses=job.get("responses"), progress=bar, **options)
+        estimate = identify(
+            log, fitted or model, family=job["family"], responses=job.get("responses"), progress=bar, **options
+        )
     text = as_text({**{n: job.get(n) for n in (*FILES, *OUTPUTS)}, **job}, kept.resolve().parent)
     if job["family"] == "location":
         return _located(args, job, estimate, kept, text)

@@ -402,3 +402,28 @@ def stopped_gap(gap: float, wanted: float) -> Flag | None:
         "equal to rounding",
         "a larger mu, or a coarser dictionary (knots=)",
     )
+
+
+def outside_training(name: str, scores: str, value: float, limit: float, alarms: int, of: int, lost: bool) -> Flag:
+    """W609: readings unlike the examples of a learned map, which the physics answered.
+
+    Parameters
+    ----------
+    name : str
+        Of the score that is furthest beyond its limit.
+    scores : str
+        All of them in words.
+    value, limit : float
+        Of that score.
+    alarms, of : int
+        Frames or records with an alarm, and how many there are.
+    lost : bool
+        Samples are missing.
+    """
+    where = f"in {alarms} of {of} frames the readings are" if of > 1 else "the readings are"
+    why = "samples are missing, which the map knows nothing of; " if lost else ""
+    return Flag(
+        "W609",
+        Evidence(name, float(value), float(limit)),
+        f"{where} unlike the examples that the map was learned from ({why}{scores}): the load is that of the physics",
+    )

@@ -105,6 +105,10 @@ class Facts(Mapping[str, Any]):
         Labels of the loads that act; information criterion by spacing, in words.
     places, distinguishable : int
         Of a field: places of its loads, and combinations that the sensors tell apart.
+    novelty : float
+        Of a learned map: the worst score of the readings over its limit; above 1 the physics answered.
+    novelty_by, answered_by, engine : str
+        In words: the scores with their limits, who answered, and the engine of the map.
     lam : float
         Relative lambda, where no `Choice` holds it.
     tuned, counts : mapping of str to number
@@ -166,6 +170,10 @@ class Facts(Mapping[str, Any]):
     places: int | None = fact()
     distinguishable: int | None = fact(key="told_apart")
     length: float | None = fact(unit="m")
+    answered_by: str | None = fact("answered by")
+    engine: str | None = fact("engine of the learned map")
+    novelty: float | None = fact("novelty of the readings (alarm above 1)")
+    novelty_by: str | None = fact("novelty by")
     lam: float | None = fact(key="lambda")
     time_constant: float | None = fact(unit="s")
     tuned: Mapping[str, float] = field(default_factory=dict)

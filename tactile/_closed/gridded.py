@@ -124,6 +124,7 @@ def _near_hats(ground: HalfSpace, offsets: Array, pitch: float, nodes: int = 8) 
 
 
 LIMIT = 4096
+HEIGHTS = 8  # of points under the surface, whose transforms a grid keeps
 
 
 @dataclass(frozen=True)
@@ -181,9 +182,36 @@ class LayerGrid:
         InputError
             If the shapes do not fit or values are not finite.
         """
-        symbol = self._symbol if z is None else self._transformed(number("z", z, where="displacements", unit="m"))
-        waves = np.einsum("yxij,yxj->yxi", symbol, self._padded(self._checked(tractions, "tractions")))
+        height = None if z is None else number("z", z, where="displacements", unit="m")
+        waves = np.einsum("yxij,yxj->yxi", self._at(height), self._padded(self._checked(tractions, "tractions")))
         return self._back(waves)
+
+    def between(self, field: ArrayLike, points: ArrayLike) -> Array:
+        """A field (ny, nx, 3) at the nodes at points (n, 2) between them, (n, 3), by cubic splines.
+
+        Raises
+        ------
+        InputError
+            If points lie outside the grid.
+        """
+        from scipy.ndimage import map_coordinates
+
+        values = self._checked(field, "field")
+        places = shaped(reals(points, where="points"), PLANE, where="points", what="points must be rows (x, y)")
+        at = (places[:, ::-1] - self.nodes[0, 0, ::-1]) / self.pitch
+        if np.any((at < -1e-9) | (at > np.subtract(self.shape, 1) + 1e-9)):
+            raise InputError("points outside the grid", where="motion", found=f"{np.abs(places).max():.3g} m away",
+                             expected="points between the nodes", hint="take a larger LayerGrid")  # fmt: skip
+        return np.stack([map_coordinates(values[..., i], at.T, order=3, mode="nearest") for i in range(3)], axis=1)
+
+    def window(self, shape: tuple[int, int]) -> LayerGrid:
+        """A grid of fewer nodes on the same layer, which shares the influence of a node on the surface."""
+        found = LayerGrid(self.layer, shape, self.pitch, load=self.load)
+        if np.any(np.greater(found.shape, self.shape)):
+            raise InputError("a window is no larger than its grid", where="window", found=str(found.shape),
+                             expected=f"at most {self.shape}")  # fmt: skip
+        found.__dict__["_quarter"] = self._quarter[: found.shape[0], : found.shape[1]]
+        return found
 
     def along(self, axes: slice) -> Callable[[Array], Array]:
         """What gives the motion (ny, nx, axes) of the surface along some axes under tractions along them alone."""
@@ -264,21 +292,45 @@ class LayerGrid:
 
     @cached_property
     def _symbol(self) -> NDArray[np.complex128]:
-        return self._transformed(None)
+        return self._transformed(self._quarter)
+
+    @cached_property
+    def _quarter(self) -> Array:
+        return self._of_one(None)
+
+    @cached_property
+    def _under(self) -> dict[float, NDArray[np.complex128]]:
+        return {}
+
+    def _at(self, z: float | None) -> NDArray[np.complex128]:
+        """Transform of the motion at a height; the last few are kept."""
+        if z is None:
+            return self._symbol
+        found = self._under.get(z)
+        if found is None:
+            found = self._transformed(self._of_one(z))
+            if len(self._under) >= HEIGHTS:
+                self._under.clear()
+            self._under[z] = found
+        return found
 
     @cached_property
     def _principal(self) -> tuple[Array, NDArray[np.complex128]]:
         w, V = np.linalg.eigh((self._symbol + np.swapaxes(self._symbol.conj(), -1, -2)) / 2)
         return w, V
 
-    def _transformed(self, z: float | None) -> NDArray[np.complex128]:
-        """Transform of the motion under one node, over all offsets on the grid, (lines, lines/2 + 1, 3, 3)."""
+    def _of_one(self, z: float | None) -> Array:
+        """Motion under one node over the offsets of a quarter, (ny, nx, 3, 3)."""
         ny, nx = self.shape
         y, x = np.arange(ny) * self.pitch, np.arange(nx) * self.pitch
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         if z is not None:
             points = np.column_stack([points, np.full(len(points), z)])
-        quarter = influence(self.layer, points, np.zeros((1, 2)), self.pitch, self.load).reshape(ny, nx, 3, 3)
+        return influence(self.layer, points, np.zeros((1, 2)), self.pitch, self.load).reshape(ny, nx, 3, 3)
+
+    def _transformed(self, quarter: Array) -> NDArray[np.complex128]:
+        """Transform of the motion under one node, over all offsets on the grid, (lines, lines/2 + 1, 3, 3)."""
+        ny, nx = self.shape
         full = np.zeros((*self._size, 3, 3))
         for sy in (1, -1):
             for sx in (1, -1):
@@ -294,11 +346,15 @@ class LayerGrid:
         return shaped(values, (*self.shape, 3), where=name, what=what, hint=hint)
 
     def _padded(self, values: Array) -> NDArray[np.complex128]:
-        return np.fft.rfft2(values, s=self._size, axes=(0, 1))
+        from scipy.fft import rfft2
+
+        return np.asarray(rfft2(values, s=self._size, axes=(0, 1)))
 
     def _back(self, waves: NDArray[np.complex128]) -> Array:
+        from scipy.fft import irfft2
+
         ny, nx = self.shape
-        return np.fft.irfft2(waves, s=self._size, axes=(0, 1))[:ny, :nx]
+        return np.asarray(irfft2(waves, s=self._size, axes=(0, 1))[:ny, :nx])
 
 
 def _unseen(what: str) -> NotIdentifiable:

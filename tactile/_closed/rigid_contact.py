@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from structures.errors import InputError, NotIdentifiable, integer, number, pair, positive, reals
+from structures.errors import InputError, NotIdentifiable, integer, number, pair, positive
 
-from .._arrays import PLANE, Array, Mask, shaped
+from .._arrays import Array, Mask
 from .gridded import LayerGrid
 
 STEPS, TURNS = 2000, 60
@@ -35,6 +35,8 @@ class RigidBody:
         Height (m) of the body over the plane that touches its lowest point; inf where there is no body.
     friction : float
         Coefficient f of Coulomb's law; 0 slips freely.
+    settled : float
+        What is left of a gap over the depth, and of a shear over the limit of friction, when the iterations end.
 
     Raises
     ------
@@ -45,6 +47,7 @@ class RigidBody:
     grid: LayerGrid
     height: Array
     friction: float = field(default=0.0, kw_only=True)
+    settled: float = field(default=SETTLED, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.grid, LayerGrid):
@@ -60,6 +63,7 @@ class RigidBody:
         object.__setattr__(self, "height", height)
         if number("friction", self.friction, where="RigidBody") < 0:
             raise InputError("friction is negative", where="RigidBody", found=self.friction, expected="friction >= 0")
+        positive("settled", self.settled, where="RigidBody")
 
     def press(self, *, depth: float | None = None, force: float | None = None) -> RigidContact:
         """The body pressed straight down to a depth (m) or with a force (N).
@@ -136,16 +140,8 @@ class RigidContact:
         InputError
             If points lie outside the grid, or z outside the layer.
         """
-        from scipy.ndimage import map_coordinates
-
         grid = self.body.grid
-        places = shaped(reals(points, where="points"), PLANE, where="points", what="points must be rows (x, y)")
-        u = self.displacements if z is None else grid.displacements(self.tractions, z)
-        at = (places[:, ::-1] - grid.nodes[0, 0, ::-1]) / grid.pitch
-        if np.any((at < 0) | (at > np.subtract(grid.shape, 1))):
-            raise InputError("points outside the grid", where="motion", found=f"{np.abs(places).max():.3g} m away",
-                             expected="points between the nodes", hint="take a larger LayerGrid")  # fmt: skip
-        return np.stack([map_coordinates(u[..., i], at.T, order=3, mode="nearest") for i in range(3)], axis=1)
+        return grid.between(self.displacements if z is None else grid.displacements(self.tractions, z), points)
 
     def drag(self, shift: tuple[float, float] = (0.0, 0.0), turn: float = 0.0, steps: int = 8) -> RigidContact:
         """The body moved along the surface by `shift` (m) and turned by `turn` (rad) at the depth that it has.
@@ -179,14 +175,14 @@ def _step(before: RigidContact, goal: dict[str, float], moved: Array) -> RigidCo
     t, depth = before.tractions.copy(), before.depth
     for _ in range(TURNS):
         lifted = grid.displacements(_only(t, slice(2)))[..., 2]
-        p, depth = _pressed(grid, body.height - lifted, -t[..., 2], goal)
+        p, depth = _pressed(grid, body.height - lifted, -t[..., 2], goal, body.settled)
         last, t = t, _only(t, slice(2))
         t[..., 2] = -p
         if body.friction:
             pushed = grid.displacements(_only(t, slice(2, 3)))[..., :2]
-            t[..., :2] = _sheared(grid, held - pushed, body.friction * p, t[..., :2])
+            t[..., :2] = _sheared(grid, held - pushed, body.friction * p, t[..., :2], body.settled)
         change = np.linalg.norm(t - last) / np.linalg.norm(t)
-        if change <= SETTLED * 10 or not body.friction:
+        if change <= body.settled * 10 or not body.friction:
             break
     else:
         raise _unsettled("pressure and friction")
@@ -205,7 +201,9 @@ def _only(t: Array, part: slice) -> Array:
     return kept
 
 
-def _pressed(grid: LayerGrid, height: Array, start: Array, goal: dict[str, float]) -> tuple[Array, float]:
+def _pressed(
+    grid: LayerGrid, height: Array, start: Array, goal: dict[str, float], settled: float
+) -> tuple[Array, float]:
     """Pressure (ny, nx) and depth: conjugate gradients over the nodes that touch."""
     motion = grid.along(slice(2, 3))
     can = np.isfinite(height)
@@ -222,8 +220,8 @@ def _pressed(grid: LayerGrid, height: Array, start: Array, goal: dict[str, float
         on = p > 0
         depth = goal["depth"] if total is None else float(gap[on].mean())
         gap = np.where(can, gap - depth, np.inf)
-        under = (p == 0) & (gap < -SETTLED * max(size, abs(depth)))
-        if not under.any() and np.abs(gap[on]).max(initial=0.0) <= SETTLED * max(size, abs(depth)):
+        under = (p == 0) & (gap < -settled * max(size, abs(depth)))
+        if not under.any() and np.abs(gap[on]).max(initial=0.0) <= settled * max(size, abs(depth)):
             return p, depth
         squares = float((gap[on] ** 2).sum())
         t = np.where(on, np.where(on, gap, 0.0) + (0.0 if fresh else squares / before) * t, 0.0)
@@ -241,7 +239,7 @@ def _pressed(grid: LayerGrid, height: Array, start: Array, goal: dict[str, float
     raise _unsettled("the pressure")
 
 
-def _sheared(grid: LayerGrid, held: Array, limit: Array, start: Array) -> Array:
+def _sheared(grid: LayerGrid, held: Array, limit: Array, start: Array, settled: float) -> Array:
     """Shear (ny, nx, 2): least of q A q / 2 - held q over the discs |q| <= limit."""
     motion = grid.along(slice(2))
 
@@ -256,7 +254,7 @@ def _sheared(grid: LayerGrid, held: Array, limit: Array, start: Array) -> Array:
     scale = length
     for _ in range(STEPS):
         values.append(float((q * (moved / 2 - held)).sum()))
-        if np.abs(within(q - scale * slope) - q).max() <= SETTLED * np.abs(q).max():
+        if np.abs(within(q - scale * slope) - q).max() <= settled * np.abs(q).max():
             return q
         step = within(q - length * slope) - q
         along = motion(step)

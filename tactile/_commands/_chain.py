@@ -30,6 +30,7 @@ from .._results.forcemap import ForceMap, record
 from .._results.pictures import sequence_figure
 from .._results.report import HOW, numbers, page
 from .._sensors.gelslim import GelSlim
+from .._sensors.learned import LearnedSensor
 from .._sensors.linear import MultilayerPad
 from .._sensors.marked import FEWEST, ContactLaw
 from .._sensors.posing import RULES, chosen
@@ -79,6 +80,7 @@ def reconstruct(
     friction: float | None = None,
     no_pull: bool = False,
     lam: float | str | None = None,
+    learned: str | Path | None = None,
     frames: tuple[int, int] | None = None,
     rate: float | None = None,
     allow: Iterable[str] = (),
@@ -87,8 +89,9 @@ def reconstruct(
     """Force maps of images (folder, NPY or NPZ stack, video) or marker motions (CSV, NPY), by the command's options.
 
     `unloaded` is the number of frames that the source begins with, or a path, of the unloaded pad; `friction`,
-    `no_pull` and `lam` override those of the pad file; of `frames` (first, last), from 1 and both included, all are
-    tracked up to the last; with a `rate` (Hz) the axis is time; ``progress(fraction, text)`` is called.
+    `no_pull` and `lam` override those of the pad file; a `learned` map answers where it knows frames like these; of
+    `frames` (first, last), from 1 and both included, all are tracked up to the last; with a `rate` (Hz) the axis is
+    time; ``progress(fraction, text)`` is called.
     """
     tell = progress or (lambda fraction, text: None)
     settings = padfile.read(pad_file)
@@ -110,8 +113,11 @@ def reconstruct(
     if sensor == "multilayer":
         tell(0.45, "choosing lambda")
         words = f"{fixed:g}, as stated" if fixed is not None else _choose(built, tracked, maps, seen.noise_source.text)
+    if learned is not None:
+        built = _taught(built, learned)
+        words = f"none, by {built!r}; of the physics, where frames are strange: {words}"
     found = _inverted(built, pad, seen, tracked, maps, words, rate, tell)
-    return _traced(found, [settings.path, Path(source), *([] if depth is None else [Path(depth)])])
+    return _traced(found, [Path(p) for p in (settings.path, source, depth, learned) if p is not None])
 
 
 # -- steps ------------------------------------------------------------------------------------------------------------
@@ -147,6 +153,14 @@ def _sensor(
         pad, choice=choice if fixed is None else fixed, penalty=penalty(contact), **given,
     )  # fmt: skip
     return built, fixed
+
+
+def _taught(built: Any, learned: str | Path) -> LearnedSensor:
+    """The sensor with a learned map."""
+    if not isinstance(built, MultilayerPad):
+        raise InputError("a learned map goes with the multilayer sensor", where="--map", found=built.name,
+                         expected="--sensor multilayer")  # fmt: skip
+    return LearnedSensor.read(learned, built)
 
 
 def _tracked(

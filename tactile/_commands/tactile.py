@@ -29,7 +29,7 @@ In-plane markers alone hardly tell the pressure: give --depth, or read what flag
 """
 REQUIRED = (("pad", "--pad PAD.toml"), ("output", "-o MAP.h5"))
 ONLY_DEMO = ("out", "seed")
-NOT_LIVE = ("output", "report", "plot", "video", "depth", "frames", "sensor", *ONLY_DEMO)
+NOT_LIVE = ("output", "report", "plot", "video", "depth", "frames", "sensor", "map", *ONLY_DEMO)
 
 
 def span(text: str) -> tuple[int, int]:
@@ -59,6 +59,9 @@ def _configure(parser: ArgumentParser) -> None:
         "first frame where the noise is stated, else the first five)",
     )  # fmt: skip
     parser.add_argument("--sensor", choices=SENSORS, default=SENSORS[0], help="default %(default)s")
+    parser.add_argument(
+        "--map", metavar="MAP.h5", help="learned map of this sensor, which answers where it knows frames like these"
+    )
     parser.add_argument("--friction", type=positive, metavar="MU", help="tractions stay in their friction cone")
     parser.add_argument("--no-pull", action="store_true", help="pressures are not negative")
     parser.add_argument(
@@ -116,7 +119,7 @@ def _map(args: Namespace) -> int:
     if given:
         raise UsageError(f"{', '.join(_spelled(n) for n in given)} is for the demo only")
     outputs = {"-o": args.output, "--report": args.report, "--plot": args.plot, "--video": args.video}
-    inputs = [args.input, args.pad, args.depth]
+    inputs = [args.input, args.pad, args.depth, args.map]
     require_outputs(outputs, inputs)
     if args.video is not None:
         from .._results.film import require_video
@@ -127,7 +130,7 @@ def _map(args: Namespace) -> int:
     with Bar() as bar:
         found = reconstruct(
             args.input, args.pad, depth=args.depth, unloaded=args.unloaded, sensor=args.sensor, friction=args.friction,
-            no_pull=args.no_pull, lam=args.lam, frames=args.frames, rate=args.rate,
+            no_pull=args.no_pull, lam=args.lam, learned=args.map, frames=args.frames, rate=args.rate,
             allow=known_codes(args.allow, where="--allow"), progress=bar,
         )  # fmt: skip
         written = write_all(
@@ -139,7 +142,20 @@ def _map(args: Namespace) -> int:
 
 def _options(args: Namespace) -> list[str]:
     """Options that were given."""
-    named = {"pad", "output", "report", "plot", "video", "depth", "unloaded", "friction", "lam", "frames", "rate"}
+    named = {
+        "pad",
+        "output",
+        "report",
+        "plot",
+        "video",
+        "depth",
+        "unloaded",
+        "friction",
+        "lam",
+        "frames",
+        "rate",
+        "map",
+    }
     found = [name for name in sorted(named) if getattr(args, name) is not None]
     found += [name for name in ("no_pull", "allow") if getattr(args, name)]
     return found + (["sensor"] if args.sensor != "multilayer" else [])

@@ -17,8 +17,8 @@ from structures.errors import InputError, real, shown
 from .._arrays import Array
 
 NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
-EXAMPLES = {"displacement": "3 mm", "pressure": "0.147 MPa", "angle": "12 deg", "px": "5.6 px"}
-WORDS = {"displacement": "a length", "pressure": "a modulus", "angle": "an angle", "px": "pixels"}
+EXAMPLES = {"displacement": "3 mm", "pressure": "0.147 MPa", "angle": "12 deg", "px": "5.6 px", "force": "0.5 N"}
+WORDS = {"displacement": "a length", "pressure": "a modulus", "angle": "an angle", "px": "pixels", "force": "a force"}
 MISSING: Any = object()
 
 
@@ -57,6 +57,10 @@ class TomlTable:
             where = f"{self.file}: [{self.name}]" + (f": {error.where}" if error.where else "")
             parts = {name: getattr(error, name) for name in ("found", "expected", "hint", "code")}
             raise InputError(error.what, where=where, **parts) from None
+
+    def known(self, *keys: str) -> None:
+        """Keys that may be there, and need not."""
+        self._asked.update(keys)
 
     def end(self) -> None:
         """Refuse keys that nobody asked for, with the nearest key that is known."""

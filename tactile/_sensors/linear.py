@@ -204,9 +204,27 @@ class LinearSensor(MarkedSensor):
             What neither readings nor penalty determine.
         """
         y, flags = self._of_frame(found, depth, wrench)
+        return self.explained(y, flags, wrench)
+
+    def explained(self, y: Array, flags: Sequence[Flag | None] = (), wrench: Wrench | None = None) -> ForceMap:
+        """Force map of readings (m,), NaN where one is lost, with what was found on the way to them."""
+        found = list(flags)
         if self.frozen:
-            return self._mapped(self._scaled_map(y), y, wrench, flags)
-        return self._thorough(y, wrench, flags) if self.problem is None else self._chosen(y, wrench, flags)
+            return self._mapped(self._scaled_map(y), y, wrench, found)
+        return self._thorough(y, wrench, found) if self.problem is None else self._chosen(y, wrench, found)
+
+    def answered(
+        self, load: Array, std: Array, wrench: Array, facts: ForceFacts, *, flags: Sequence[Flag | None],
+        provenance: Mapping[str, Any],
+    ) -> ForceMap:  # fmt: skip
+        """Force map of loads (n,) that something else found of readings, their std and the covariance of the wrench."""
+        whole = self._scattered(load)
+        return ForceMap(
+            load=whole, std=self._scattered(std), labels=self._labels, units=self._units, facts=facts,
+            flags=collect([*self.model.flags, *flags, *self._own(whole, facts)]), allowed=self.family.allow,
+            certificate=self.model.certificate, geometry={**self.geometry, "resultant_covariance": wrench},
+            provenance=dict(provenance),
+        )  # fmt: skip
 
     def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
         """Force map of one of many frames, as `estimate`; with lambda frozen by the one product alone.

@@ -92,6 +92,7 @@ from tactile import (
     Layer,
     LayerGrid,
     LayerSensor,
+    LearnedSensor,
     Markers,
     MarkerTracker,
     MultilayerPad,
@@ -107,6 +108,8 @@ from tests import lab, mounted
 from tests.benchmarks.assembly import hexahedra, skewed, tetrahedra
 from tests.golden import problems as p
 from tests.inverse.statespace.cases import case
+from tests.learning import made as learned
+from tests.learning import presses as taught
 from tests.tactile import test_eye as seen
 
 DT = p.DT
@@ -686,6 +689,8 @@ add("tactile/GelSlim, friction", partial(slim, contact=ContactLaw(friction=0.6))
 add("tactile/GelForce", gel, partial(frame, u=gel_motion()))
 add("tactile/LayerSensor", layered, partial(frame, u=p.moved()[1]))
 add("tactile/LayerSensor, scattered", partial(layered, True), partial(frame, u=p.moved()[1]))
+add("tactile/LearnedSensor", lambda: LearnedSensor.fit(taught.sensor(), taught.training(), engine="linear"),
+    partial(frame, u=taught.presses(1, 1)[0][0]))  # fmt: skip
 
 
 def pressing() -> RigidBody:
@@ -778,3 +783,7 @@ SHARED: dict[str, Shared] = {
     "LayerSensor": Shared(layered, p.moved()[1], said=mapped_numbers),
     "LayerSensor, scattered": Shared(partial(layered, True), p.moved()[1], said=mapped_numbers),
 }  # fmt: skip
+
+add("family/LearnedMap", lambda: learned.LearnedMap(learned.plate()[0]), lambda m: bits((m.coverage, m.model.static())))
+add("learned map/static", learned.static_map.__wrapped__, lambda m: bits(m.predict(learned.presses(3, 1)[0]).mean))
+add("learned map/history", learned.history_map, lambda m: bits(m.predict(learned.records(2, 1)[0]).std))

@@ -1,0 +1,446 @@
+"""Learned maps: loads by a map that was learned from examples, and by the physics where readings are not like these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from structures._model import Model, as_model, convolved, impulse_of
+from structures._models.arrays import MatrixModel
+from structures._readonly import ReadOnly
+from structures.errors import InputError, one_of
+
+from .. import _guards as guards
+from .._learning import outputs as outs
+from .._learning.adaptation import Adaptation, adapted
+from .._learning.calibration import Factors, calibrated, require_draws
+from .._learning.checking import MapCheck, checked
+from .._learning.engine import ENGINES, Engine, engine
+from .._learning.novelty import Novelty, Verdict
+from .._learning.outputs import Outputs
+from .._learning.training import Lesson, has_gaps, require_fit, scale_of
+from .._results.estimate import Axis, LoadEstimate
+from .._results.facts import Facts, provenance
+from .._spellings import Progress
+from .answer import over_time
+from .data import gather, readings
+from .deconvolution import Deconvolution
+from .smoothness import geometry
+from .static import StaticInversion
+
+Array = NDArray[np.float64]
+
+NAME = "learned map"
+HOLDS = ("zoh", "foh")
+PARTS = (0.7, 0.1, 0.2)  # of the draws: for parameters, for what is chosen beside them, for the std and the alarm
+
+
+class LearnedMap:
+    """Loads by a map learned from examples that physics wrote.
+
+    `fit` learns it; what it returns answers. Readings unlike the examples are answered by `physics` instead, and said
+    to be (LID-W609).
+
+    Parameters
+    ----------
+    model : Model, or array (sensors, loads)
+        The forward model that predicts what the load explains of the readings.
+    engine : ``"linear"`` or ``"torch"``
+        The best linear map of the ensemble, in closed form; or a network (extra ``learn``).
+    output : ``"load"`` or ``"resultant"``
+        What is mapped: every load, or their resultants.
+    physics : a family, optional
+        Answers where the map must not; default `StaticInversion` for static readings, `Deconvolution` for histories.
+    hold : ``"zoh"`` or ``"foh"``, optional
+        How loads run between samples, as in `Deconvolution`; default that of the model.
+    coverage : float
+        Of the band to which the std is calibrated.
+    seed : int
+        Of the parts of the training set.
+    progress : callable, optional
+        Called as ``progress(fraction, text)``.
+
+    Raises
+    ------
+    InputError
+        Unknown settings, or loads without a resultant where resultants are asked for.
+    """
+
+    name = NAME
+
+    def __init__(
+        self,
+        model: Model | ArrayLike,
+        *,
+        engine: str = "linear",
+        output: str = "load",
+        physics: Any = None,
+        hold: str | None = None,
+        coverage: float = 0.95,
+        seed: int = 0,
+        progress: Callable[[float, str], None] | None = None,
+    ) -> None:
+        self.model = as_model(MatrixModel.of(model), "LearnedMap")
+        self.engine = one_of("no such engine", engine, ENGINES, where="engine")
+        self.output = one_of("no such output", output, ("load", "resultant"), where="output")
+        if not (isinstance(coverage, float) and 0.5 <= coverage < 1):
+            raise InputError("no coverage", where="coverage", found=coverage, expected="0.5 or more, below 1")
+        self.hold = self.model.default_hold if hold is None else one_of("no such hold", hold, HOLDS, where="hold")
+        self.physics, self.coverage, self.seed = physics, coverage, seed
+        self.outputs = Outputs.of(self.model, self.output)
+        self._progress = Progress(progress)
+
+    def fit(self, training: Any, *, more: Sequence[tuple[Any, Any]] | None = None, **settings: Any) -> FittedMap:
+        """Learn the map from a training set.
+
+        Parameters
+        ----------
+        training : loadid.generate.TrainingSet
+            Static readings or histories of the sensors and loads of the model.
+        more : sequence of (record, known), optional
+            As in `FittedMap.adapted`.
+        **settings
+            Of the engine.
+
+        Returns
+        -------
+        FittedMap
+
+        Raises
+        ------
+        InputError
+            A set of other sensors, loads or units, with NaN, too small, or one that does not span the loads.
+        """
+        require_fit(training, self.model)
+        parts = training.split(PARTS, self.seed)
+        require_draws(len(parts[2]))
+        dt = training.dt
+        self.model.require("static" if dt is None else "impulse_response", family="LearnedMap")
+        scale = scale_of(training, self.model)
+        lesson = Lesson(parts[0], parts[1], parts[2], scale, self.outputs.matrix, dt)
+        learned = engine(self.engine).learn(lesson, progress=lambda f, t: self._progress(0.7 * f, t), **settings)
+        self._progress(0.7, "what the examples are like")
+        novelty = Novelty.learn(lesson)
+        self._progress(0.8, "calibrating the std and the alarm")
+        map_ = FittedMap(
+            self.model, learned, self.outputs, Factors.none(lesson.outputs), novelty, lesson.scale, dt,
+            self.physics,
+            {"coverage": self.coverage, "draws": len(training), "training": training.fingerprint,
+             "gaps": has_gaps(training), "hold": self.hold},
+        )  # fmt: skip
+        map_ = _calibrated(map_, lesson, self.coverage)
+        self._progress(1.0, "done")
+        return map_ if more is None else map_.adapted(more)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(ReadOnly):
+    """What a map says of readings, before it is decided who answers.
+
+    Parameters
+    ----------
+    mean, std : array (n, [samples,] outputs)
+    residual : array (n, [samples,] sensors) or None
+        Readings less the model's response to the load, SI; None of resultants.
+    verdicts : tuple of Verdict
+        One of each reading or record.
+    """
+
+    mean: Array
+    std: Array
+    residual: Array | None
+    verdicts: tuple[Verdict, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMap(ReadOnly):
+    """A map that was learned. Immutable; `LearnedMap.fit` makes it, `save` and `loadid.load_map` keep it.
+
+    Parameters
+    ----------
+    model : Model
+    engine : Engine
+    outputs : Outputs
+        What it answers.
+    factors : Factors
+        Of the std of the engine, by calibration.
+    novelty : Novelty
+    scale : array (sensors,)
+        Std of the noise of each sensor, by which readings are divided.
+    dt : float or None
+        Step in s of the histories; None of static readings.
+    physics : a family, or None
+        Who answers instead; None for the default.
+    facts : mapping
+        Coverage, draws and fingerprint of the training set, whether readings are missing there; hold.
+    adaptation : Adaptation, optional
+        What real records told.
+    """
+
+    model: Model
+    engine: Engine
+    outputs: Outputs
+    factors: Factors
+    novelty: Novelty
+    scale: Array
+    dt: float | None
+    physics: Any
+    facts: Mapping[str, Any]
+    adaptation: Adaptation = field(default=None)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.adaptation is None:
+            none = Adaptation.none(len(self.outputs.labels), len(self.scale))
+            object.__setattr__(self, "adaptation", none)
+
+    # -- answering ----------------------------------------------------------------------------------------------------
+    def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
+        """Loads behind a record or static readings.
+
+        Parameters
+        ----------
+        record : Record, array or mapping
+            As `Deconvolution` (histories) and `StaticInversion` (static readings) take it.
+        dt : float, optional
+            Step in s of a bare array.
+
+        Returns
+        -------
+        LoadEstimate
+            ``facts.novelty`` above 1 is an alarm: the load is that of the physics then, with its std and LID-W609.
+
+        Raises
+        ------
+        InputError
+            Readings of other sensors, units or step, NaN; from the physics.
+        """
+        if self.dt is None:
+            given = readings(record, self.model, None)
+            values, axis, lost = given.values, given.axis, False
+        else:
+            data = gather(record, dt, self.model, None, allow_missing=True)
+            self._require_step(data.dt)
+            lost = bool(data.missing.any()) and not self.facts["gaps"]
+            given = data  # type: ignore[assignment]
+            values, axis = data.values[None], over_time(len(data.values), data.dt)
+        told = self.predict(values)
+        alarms = np.array([v.alarm or lost for v in told.verdicts])
+        own = self._assembled(given, values, axis, told)
+        if not alarms.any():
+            return own
+        fallback = self._physics().estimate(record) if dt is None else self._physics().estimate(record, dt)
+        return _answered_by_physics(own, self.outputs.of_estimate(fallback), told.verdicts, alarms, lost)
+
+    def predict(self, values: Array) -> Prediction:
+        """What the map says of readings (frames, sensors) or records (n, samples, sensors), in SI."""
+        clean = values - self.adaptation.bias
+        mean, std = self.engine.predict(clean / self.scale)
+        left = self.residual(clean, mean)
+        white = None if left is None else left / self.scale
+        verdicts = tuple(
+            self.novelty.verdict(one / self.scale, None if white is None else white[i]) for i, one in enumerate(clean)
+        )
+        gain = self.adaptation.gain
+        factor = self.factors.inside if self.dt is None else self.factors.of(values.shape[1])
+        return Prediction(mean * gain, std * factor * np.abs(gain) * self.adaptation.spread, left, verdicts)
+
+    def residual(self, values: Array, mean: Array) -> Array | None:
+        """Readings (n, [samples,] sensors) less the response to outputs; None where the outputs are no loads."""
+        if self.outputs.matrix is not None:
+            return None
+        if self.dt is None:
+            return np.asarray(values - mean @ self.model.static().T)
+        h = impulse_of(self.model, self.dt, values.shape[1], self.facts["hold"])
+        return np.stack([v - convolved(h, m) for v, m in zip(values, mean, strict=True)])
+
+    def check(
+        self, held_out: Any, *, draws: int | None = None, progress: Callable[[float, str], None] | None = None
+    ) -> MapCheck:
+        """Errors, coverage and alarms on a training set that the map has not seen, kind by kind.
+
+        Parameters
+        ----------
+        held_out : loadid.generate.TrainingSet
+            Of another seed.
+        draws : int, optional
+            Only so many, the first ones.
+
+        Raises
+        ------
+        InputError
+            A set of other sensors, loads or step, or the one that it was learned from.
+        """
+        return checked(self, held_out, Progress(progress), draws)
+
+    # -- real records -------------------------------------------------------------------------------------------------
+    def adapted(self, more: Sequence[tuple[Any, Any]]) -> FittedMap:
+        """The map with gain, bias, noise and alarm adapted to a few real records of known force.
+
+        Parameters
+        ----------
+        more : sequence of (record, known)
+            Known loads (loads,) or (samples, loads), or a mapping from the label of a resultant to its value (N, N m).
+            Records of no load (all zero) tell the bias of the sensors.
+
+        Raises
+        ------
+        InputError
+            No records, or known loads that do not fit.
+        """
+        if not more:
+            raise InputError("no records with known force", where="more", expected="pairs of a record and its load")
+        read = [(self._values(record), self.outputs.known(given)) for record, given in more]
+        unloaded = [values for values, known in read if not known.any]
+        bias = self.adaptation.bias
+        if unloaded:
+            bias = np.mean([v.reshape(-1, v.shape[-1]).mean(axis=0) for v in unloaded], axis=0)
+        plain = replace(self, adaptation=replace(Adaptation.none(len(self.outputs.labels), len(bias)), bias=bias))
+        loaded = [(plain.predict(values), values, known) for values, known in read if known.any]
+        if not loaded:
+            return plain
+        compared = [known.against(p.mean, p.std, self._factor()) for p, _, known in loaded]
+        found = adapted([c[:3] for c in compared], self.outputs.groups, bias, len(self.outputs.labels),
+                        [c[3] for c in compared])  # fmt: skip
+        seen = [v.scores for p, _, _ in loaded for v in p.verdicts]
+        return replace(plain, adaptation=found, novelty=self.novelty.widened(seen))
+
+    def _factor(self) -> Array | None:
+        """Factor of the posterior covariance of one static load, where the engine knows it."""
+        W = getattr(self.engine, "covariance", None)
+        return None if W is None else W * self.factors.inside
+
+    # -- files --------------------------------------------------------------------------------------------------------
+    def save(self, path: Any) -> None:
+        """Write the map to an HDF5 file, whole or not at all, with its model and no code.
+
+        Raises
+        ------
+        InputError
+            A model that is not kept in a file, or no place to write to.
+        """
+        from .._learning import file
+
+        file.save(self, path)
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    def _values(self, record: Any) -> Array:
+        if self.dt is None:
+            return readings(record, self.model, None).values
+        data = gather(record, self.dt if not hasattr(record, "dt") else None, self.model, None)
+        self._require_step(data.dt)
+        return data.values[None]
+
+    def _require_step(self, dt: float) -> None:
+        if self.dt is not None and abs(dt / self.dt - 1) > 1e-6:
+            raise InputError("the record and the map have different steps", where="estimate", found=f"dt = {dt:.9g} s",
+                             expected=f"dt = {self.dt:.9g} s",
+                             hint="resample, or learn a map for this step")  # fmt: skip
+
+    def _physics(self) -> Any:
+        if self.physics is not None:
+            return self.physics
+        if self.dt is None:
+            return StaticInversion(self.model)
+        return Deconvolution(self.model, hold=self.facts["hold"])
+
+    def _assembled(self, given: Any, values: Array, axis: Axis | None, told: Prediction) -> LoadEstimate:
+        """The answer of the map alone."""
+        single = self.dt is not None or axis is None
+        load, std = (x[0] if single else x for x in (told.mean, told.std))
+        response = values[0] if single else values
+        residual = None if told.residual is None else (told.residual[0] if single else told.residual)
+        worst = max(told.verdicts, key=lambda v: v.value)
+        model, basis = self.model, self.model.basis
+        flags = guards.collect([
+            *model.flags, guards.not_verified(model.certificate), *given.findings,
+            guards.inverse_crime(given.simulated_by, model.fingerprint),
+            guards.used_for_training("the record", given.fingerprints & model.training),
+        ])  # fmt: skip
+        facts = {
+            "m": int(values.size), "n": int(load.size), "novelty": worst.value, "novelty_by": outs.words(worst),
+            "answered_by": NAME, "engine": self.engine.name,
+            "band": f"error of the map on draws kept apart, coverage {self.facts['coverage']:.0%}",
+        }  # fmt: skip
+        settings = {"engine": self.engine.name, "adapted": self.adaptation.records, **self.facts}
+        return LoadEstimate(
+            load=load, std=std, axis=axis, labels=self.outputs.labels, units=self.outputs.units,
+            response=None if residual is None else response, residual=residual,
+            sensors=[c.label for c in given.channels], sensor_units=[c.unit for c in given.channels],
+            flags=flags, certificate=model.certificate,
+            geometry=None if basis is None or self.outputs.matrix is not None else geometry(basis),
+            posterior=self._posterior(load.shape), facts=Facts.of(facts),
+            provenance=provenance(NAME, settings=settings, inputs=given.inputs, model=model.fingerprint,
+                                  prior=f"loads like those of {self.facts['draws']} examples"),
+        )  # fmt: skip
+
+    def _posterior(self, shape: tuple[int, ...]) -> Any:
+        W = self._factor()
+        if W is None or self.dt is not None:
+            return None
+        return outs.StaticPosterior(W * (self.adaptation.gain * self.adaptation.spread), shape)
+
+
+def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
+    """With factors of the std and limits of the alarm from the draws kept apart."""
+    errors, stds, scores = [], [], []
+    for data, truth in lesson.batches(lesson.calibrating):
+        mean, std = map_.engine.predict(data)
+        errors.append(mean - truth)
+        stds.append(np.broadcast_to(std, mean.shape))
+        left = map_.residual(data * lesson.scale, mean)
+        white = None if left is None else left / lesson.scale
+        scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
+        samples = 0 if lesson.dt is None else data.shape[1]
+    reach = None if lesson.dt is None else map_.engine.reach
+    found = calibrated(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach)
+    return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
+
+
+def _answered_by_physics(
+    own: LoadEstimate, fallback: LoadEstimate, verdicts: Sequence[Verdict], alarms: NDArray[np.bool_], lost: bool
+) -> LoadEstimate:
+    """The estimate of the physics, in frames with an alarm or in all; with what was found."""
+    worst = max(verdicts, key=lambda v: v.value)
+    flag = guards.outside_training(worst.worst, outs.words(worst), worst.scores[worst.worst],
+                                   worst.limits[worst.worst], int(alarms.sum()), len(alarms), lost)  # fmt: skip
+    facts = {"novelty": worst.value, "novelty_by": outs.words(worst), "answered_by": "physics",
+             "engine": own.facts["engine"]}  # fmt: skip
+    if alarms.all():
+        notes = {**fallback.provenance, "learned": dict(own.provenance)}
+        return replace(fallback, flags=(flag, *fallback.flags), provenance=notes,
+                       facts=Facts.of({**fallback.facts, **facts}))  # fmt: skip
+    rows = alarms[:, None]
+    residual = None
+    if own.residual is not None and fallback.residual is not None:
+        residual = np.where(rows, fallback.residual, own.residual)
+    facts["answered_by"] = f"physics in {int(alarms.sum())} of {len(alarms)} frames"
+    return replace(
+        own, load=np.where(rows, fallback.load, own.load), std=np.where(rows, fallback.std, own.std),
+        residual=residual, flags=(flag, *own.flags), posterior=None, facts=Facts.of({**own.facts, **facts}),
+    )  # fmt: skip
+
+
+def load_map(path: Any, *, model: Model | None = None, physics: Any = None) -> FittedMap:
+    """Read a learned map that `FittedMap.save` wrote.
+
+    Parameters
+    ----------
+    path : path
+    model : Model, optional
+        In place of the one in the file: it must be the same.
+    physics : a family, optional
+        Who answers where the map must not.
+
+    Raises
+    ------
+    InputError
+        A file that is missing, damaged, of another kind or version; a model that the map was not learned for.
+    """
+    from .._learning import file
+
+    parts = file.load(path, model)
+    return FittedMap(**parts, physics=physics)

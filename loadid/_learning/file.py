@@ -1,0 +1,98 @@
+"""Learned maps as files: HDF5 with checksums, the map, its model and what they were made from. None of it is code."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from structures._channels import CHANNEL, Channel
+from structures._model import Model
+from structures.errors import InputError
+from structures.files import _modelfile as modelfile
+from structures.files import _storage as storage
+
+from .adaptation import Adaptation
+from .calibration import Factors
+from .engine import engine
+from .novelty import Novelty
+from .outputs import Outputs
+from .training import require_channels
+
+KIND = "learned map"
+VERSION = 1
+
+
+def save(fitted: Any, path: Any) -> None:
+    """Write a `FittedMap`, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        No place to write to.
+    """
+    model = fitted.model
+    tree = {
+        "version": VERSION, "engine": fitted.engine.name, "map": dict(fitted.engine.arrays()),
+        "outputs": vars(fitted.outputs), "factors": vars(fitted.factors), "novelty": fitted.novelty.arrays(),
+        "scale": fitted.scale, "dt": fitted.dt, "facts": dict(fitted.facts), "adaptation": vars(fitted.adaptation),
+        "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
+        "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
+        "fingerprint": model.fingerprint, "model": _bytes(model),
+    }  # fmt: skip
+    storage.write(path, tree, KIND)
+
+
+def load(path: Any, model: Model | None) -> dict[str, Any]:
+    """What a `FittedMap` is made of, physics aside.
+
+    Raises
+    ------
+    InputError
+        A file that is missing, damaged, of another kind or version; a model of other channels, or another one.
+    """
+    tree = storage.read(path, KIND)
+    if tree.get("version") != VERSION:
+        raise InputError("a learned map of another version", where=str(path), found=tree.get("version"),
+                         expected=VERSION, hint="read it with the release that wrote it")  # fmt: skip
+    if model is not None:
+        for what, own in (("sensor", model.sensors), ("load", model.loads)):
+            require_channels([Channel(**c) for c in tree[f"{what}s"]], own, what, str(path))
+    model = _model(tree["model"], str(path)) if model is None else model
+    if model.fingerprint != tree["fingerprint"]:
+        raise InputError("the map was learned for another model", where=str(path), found=model.fingerprint[:12],
+                         expected=tree["fingerprint"][:12], hint="learn a map for this model")  # fmt: skip
+    outputs = {**tree["outputs"], **{k: tuple(tree["outputs"][k]) for k in ("labels", "units", "sum_labels")}}
+    return {
+        "model": model, "engine": engine(tree["engine"]).from_arrays(tree["map"]), "outputs": Outputs(**outputs),
+        "factors": Factors(**tree["factors"]), "novelty": Novelty.from_arrays(tree["novelty"]), "scale": tree["scale"],
+        "dt": tree["dt"], "facts": _plain(tree["facts"]), "adaptation": Adaptation.from_arrays(tree["adaptation"]),
+    }  # fmt: skip
+
+
+def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
+    return dict(tree)
+
+
+def _bytes(model: Model) -> Any:
+    """A model as the bytes of its file; None of one that is kept in none."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "model.h5"
+        try:
+            model.save(place)
+        except InputError:
+            return None
+        return np.frombuffer(place.read_bytes(), np.uint8).astype(np.int64)
+
+
+def _model(data: Any, where: str) -> Model:
+    if data is None:
+        raise InputError("the model of this map is not kept in a file", where=where, expected="model=",
+                         hint="build the model, and give it: load_map(path, model=...)")  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "model.h5"
+        place.write_bytes(np.asarray(data).astype(np.uint8).tobytes())
+        return modelfile.load_any(place)

@@ -1,0 +1,206 @@
+"""What a map answers: all loads of a model or their resultants, with names, units, and what is known of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from structures._model import Model
+from structures.errors import InputError, finite, reals
+
+from .._results.estimate import LoadEstimate
+from .novelty import WORDS, Verdict
+
+Array = NDArray[np.float64]
+
+FRAMES = 64  # whose correlations between loads are asked for
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """Names and units of what is answered.
+
+    Parameters
+    ----------
+    labels, units : tuple of str
+    matrix : array (outputs, loads) or None
+        Outputs of loads; None where they are the loads.
+    group_of : array of int (outputs,)
+        Outputs of one unit and direction.
+    sums : array (resultants, outputs)
+        Resultants of the outputs, empty where there are none.
+    sum_labels : tuple of str
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    matrix: Array | None
+    group_of: NDArray[np.int_]
+    sums: Array
+    sum_labels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: Model, output: str) -> Self:
+        """Those of a model.
+
+        Raises
+        ------
+        InputError
+            Resultants of loads that have none.
+        """
+        labels, units = tuple(c.label for c in model.loads), tuple(c.unit for c in model.loads)
+        basis = model.basis
+        if basis is not None:
+            sums, names = np.asarray(basis.resultant(), float), tuple(map(str, basis.resultant_labels))
+        elif len(set(units)) == 1:
+            sums, names = np.ones((1, len(labels))), ("sum",)
+        else:
+            sums, names = np.zeros((0, len(labels))), ()
+        if output == "load":
+            step = 1 if basis is None else max(len(basis.components), 1)
+            kinds = [(unit, i % step) for i, unit in enumerate(units)]
+            group_of = np.array([list(dict.fromkeys(kinds)).index(kind) for kind in kinds])
+            return cls(labels, units, None, group_of, sums, names)
+        if not names:
+            raise InputError("these loads have no resultant", where="output", found=f"units {sorted(set(units))}",
+                             expected="loads of a basis, or of one unit", hint='output="load"')  # fmt: skip
+        own = tuple(units[0] if basis is None else "N m" if n.startswith("M") else "N" for n in names)
+        return cls(names, own, sums, np.arange(len(names)), np.eye(len(names)), names)
+
+    @property
+    def groups(self) -> list[NDArray[np.int_]]:
+        """Outputs of each group."""
+        return [np.flatnonzero(self.group_of == g) for g in range(int(self.group_of.max()) + 1)]
+
+    def known(self, given: Any) -> Known:
+        """Known loads or resultants of a record, checked.
+
+        Raises
+        ------
+        InputError
+            They do not fit.
+        """
+        if isinstance(given, Mapping):
+            for label in given:
+                if label not in self.sum_labels:
+                    raise InputError("no such resultant", where="more", found=repr(label),
+                                     expected=f"one of {list(self.sum_labels)}")  # fmt: skip
+            rows = np.array([self.sum_labels.index(label) for label in given])
+            return Known(_finite(list(given.values())), self.sums[rows], self.group_of)
+        values = _finite(given)
+        width = len(self.labels) if self.matrix is None else self.matrix.shape[1]
+        if values.ndim == 1 and width == 1 and len(values) > 1:
+            values = values[:, None]
+        if values.ndim not in (1, 2) or values.shape[-1] != width:
+            raise InputError("the known load does not fit the map", where="more", found=f"shape {values.shape}",
+                             expected=f"(..., {width}), or a mapping from resultant to value")  # fmt: skip
+        return Known(values if self.matrix is None else values @ self.matrix.T, None, self.group_of)
+
+    def of_estimate(self, found: LoadEstimate) -> LoadEstimate:
+        """An estimate of all loads as one of these outputs."""
+        if self.matrix is None:
+            return found
+        load = found.load @ self.matrix.T
+        return replace(found, load=load, std=np.sqrt(_variances(found, self.matrix)), labels=self.labels,
+                       units=self.units, bias=None, posterior=None, geometry=None, again=None)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of one record.
+
+    Parameters
+    ----------
+    values : array
+        Outputs ([samples,] outputs), or resultants (k,).
+    sums : array (k, outputs) or None
+        What these resultants are of the outputs.
+    group_of : array of int (outputs,)
+    """
+
+    values: Array
+    sums: Array | None
+    group_of: NDArray[np.int_]
+
+    @property
+    def any(self) -> bool:
+        """Whether a load acts."""
+        return bool(np.any(self.values))
+
+    def against(self, mean: Array, std: Array, W: Array | None) -> tuple[Array, Array, Array, NDArray[np.int_]]:
+        """Predicted, std and known numbers, and the group of each, flat.
+
+        Parameters
+        ----------
+        mean, std : array (1, [samples,] outputs)
+        W : array (k, outputs) or None
+            Factor of the covariance of the outputs.
+        """
+        mean, std = mean[0], std[0]
+        if self.sums is None:
+            known = np.broadcast_to(self.values, mean.shape)
+            return mean.ravel(), std.ravel(), known.ravel(), np.broadcast_to(self.group_of, mean.shape).ravel()
+        mean = mean.reshape(-1, mean.shape[-1]).mean(axis=0)
+        error = np.sqrt(self.sums**2 @ std.reshape(-1, std.shape[-1]).mean(axis=0) ** 2)
+        error = error if W is None else np.linalg.norm(W @ self.sums.T, axis=0)
+        largest = [int(self.group_of[int(np.argmax(np.abs(row)))]) for row in self.sums]
+        return self.sums @ mean, error, self.values, np.array(largest)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticPosterior:
+    """Covariance W^T W of a static load, the same in every frame.
+
+    Parameters
+    ----------
+    W : array (k, outputs)
+    shape : tuple of int
+        Of the load.
+    """
+
+    W: Array
+    shape: tuple[int, ...]
+
+    def variance(self, w: Array) -> Array:
+        """Of weights (..., [frames,] outputs); frames err independently."""
+        along = np.sum((np.asarray(w, float) @ self.W.T) ** 2, axis=-1)
+        return np.asarray(along if len(self.shape) == 1 else np.sum(along, axis=-1))
+
+    @property
+    def std(self) -> Array:
+        """Of each load, the shape of the load."""
+        return np.broadcast_to(np.linalg.norm(self.W, axis=0), self.shape)
+
+    def to_arrays(self) -> dict[str, Any]:
+        """What a file keeps."""
+        return {"kind": "factor", "W": self.W}
+
+
+def _finite(given: Any) -> Array:
+    values = reals(given, where="more")
+    finite(values, where="more", hint="leave records of unknown force out")
+    return values
+
+
+def words(verdict: Verdict) -> str:
+    """The scores of a verdict, each with its limit."""
+    return ", ".join(f"{WORDS[k]} {verdict.scores[k]:.3g} (limit {verdict.limits[k]:.3g})" for k in verdict.scores)
+
+
+def _variances(found: LoadEstimate, matrix: Array) -> Array:
+    """Variance of sums of loads (rows of a matrix), in every sample or frame."""
+    posterior, load = found.posterior, np.asarray(found.load)
+    if posterior is None or (load.ndim == 2 and len(load) > FRAMES):
+        return np.asarray(found.std**2 @ (matrix**2).T)
+    rows = np.atleast_2d(load)
+    out = np.zeros((len(rows), len(matrix)))
+    for i in range(len(rows)):
+        for j, row in enumerate(matrix):
+            weights = np.zeros(load.shape)
+            weights[i if load.ndim == 2 else ...] = row
+            out[i, j] = float(np.asarray(posterior.variance(weights)).item())
+    return out.reshape(*load.shape[:-1], len(matrix))

@@ -1,0 +1,324 @@
+"""Force maps by a map that was learned from presses, and by the sensor's own physics where readings are unlike these.
+
+The band of the resultant is calibrated beside that of the nodes, on the draws that were kept apart: errors of nodes are
+not independent, so that sums of them cannot be told from their stds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loadid._families.learned import PARTS, FittedMap, LearnedMap, load_map
+from loadid._guards import outside_training
+from loadid._learning.calibration import quantile
+from loadid._learning.outputs import words
+from loadid._results.facts import provenance
+from structures._flags import Flag
+from structures.errors import InputError
+
+from .._arrays import Array, Index, Mask
+from .._results.forcemap import ForceFacts, ForceMap
+from .linear import LinearSensor
+from .marked import MarkedSensor
+from .observation import DepthMap, Wrench
+from .posing import PadModel
+
+MOST_LOST = 0.1  # share of the readings that neighbours stand in for
+NEAR = 0.35  # of the distance of markers, within which a marker is the one that the map knows
+AROUND = 4  # neighbours
+Z95 = 1.959964
+
+
+class SeenModel(PadModel):
+    """The transfer matrix of a sensor, known by what is pressed and what is read, not by its last digit.
+
+    Markers are found anew in every reference image: a map holds for all that lie where its own do (`matched`).
+    """
+
+    def __init__(self, sensor: LinearSensor) -> None:
+        model = sensor.model
+        super().__init__(model.H, model.sensors, model.loads, model.basis, model.flags)
+        rows = f"{len(sensor.markers)} markers in {sensor.markers.axes}, {len(model.sensors)} readings"
+        self._known = f"{sensor.pressed_body.body!r}, {rows}"
+
+    @property
+    def fingerprint(self) -> str:
+        """What is pressed and read, in words."""
+        return self._known
+
+
+class LearnedSensor(MarkedSensor):
+    """A tactile sensor with a learned map: frames in, force maps out, by presses that physics wrote.
+
+    Build it by `fit` or `read`. Readings unlike the examples are answered by the sensor itself, and said to be
+    (LID-W609); ``facts.answered_by`` says who answered.
+
+    Parameters
+    ----------
+    sensor : MultilayerPad or another linear sensor
+    fitted : loadid.FittedMap
+        Of the readings and loads of that sensor.
+
+    Raises
+    ------
+    InputError
+        A map without the places of its markers, or of others.
+    """
+
+    name = "learned map"
+
+    def __init__(self, sensor: LinearSensor, fitted: FittedMap) -> None:
+        super().__init__(sensor.markers, sensor.eye, sensor.depth, sensor.contact)
+        self.sensor, self.fitted = sensor, fitted
+        if "markers" not in fitted.facts:
+            raise InputError("this map was not learned for a tactile sensor", where="LearnedSensor",
+                             expected="one that LearnedSensor.fit made", hint="fit it through this class")  # fmt: skip
+        self._order = matched(np.asarray(fitted.facts["markers"], float), sensor.markers.points[:, :2])
+        self.offset = sensor.offset
+
+    def __repr__(self) -> str:
+        return f"<LearnedSensor: {self.fitted.engine.name}, {self.fitted.facts['draws']} presses, {self.sensor!r}>"
+
+    @classmethod
+    def fit(
+        cls,
+        sensor: LinearSensor,
+        training: Any,
+        *,
+        engine: str = "torch",
+        seed: int = 0,
+        progress: Callable[[float, str], None] | None = None,
+        **settings: Any,
+    ) -> Self:
+        """Learn the map of a sensor from presses.
+
+        Parameters
+        ----------
+        sensor : MultilayerPad or another linear sensor
+        training : loadid.generate.TrainingSet
+            Readings and loads of this sensor.
+        engine : ``"linear"`` or ``"torch"``
+            As `loadid.LearnedMap`.
+        seed : int
+            Of the parts of the set, and of the network.
+        progress : callable, optional
+        **settings
+            Of the engine.
+
+        Raises
+        ------
+        InputError
+            As `loadid.LearnedMap.fit`.
+        """
+        learning = LearnedMap(SeenModel(sensor), engine=engine, seed=seed, progress=progress)
+        own = {"places": sensor.geometry["coordinates"][sensor.kept[::3] // 3], "seed": seed}
+        fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
+        band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
+        facts = {**fitted.facts, "markers": sensor.markers.points[:, :2], "resultant": band.tree()}
+        return cls(sensor, replace(fitted, facts=facts))
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str], sensor: LinearSensor) -> Self:
+        """A map from its file, for the sensor that it was learned for.
+
+        Raises
+        ------
+        InputError
+            A file that is missing or damaged; a sensor with another pad, other markers or another depth map.
+        """
+        return cls(sensor, load_map(path, model=SeenModel(sensor)))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map to an HDF5 file, whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written.
+        """
+        self.fitted.save(path)
+
+    def estimate(self, found: ArrayLike, depth: DepthMap | None = None, *, wrench: Wrench | None = None) -> ForceMap:
+        """Force map of one frame.
+
+        Parameters
+        ----------
+        found : array (N, 2 or 3), or an image (H, W[, 3])
+            As `MultilayerPad.estimate`.
+        depth : DepthMap, optional
+        wrench : Wrench, optional
+            Of a force/torque sensor: the physics meets it.
+
+        Returns
+        -------
+        ForceMap
+            ``facts.novelty`` above 1 is an alarm: the map is that of the sensor's physics then.
+
+        Raises
+        ------
+        InputError, NotIdentifiable
+            As `MultilayerPad.estimate`.
+        """
+        y, flags = self._of_frame(found, depth, wrench)
+        return self.explained(y, flags, wrench)
+
+    def explained(self, y: Array, flags: Sequence[Flag | None] = (), wrench: Wrench | None = None) -> ForceMap:
+        """Force map of readings (m,), NaN where one is lost, with what was found on the way to them."""
+        lost = ~np.isfinite(y)
+        if wrench is not None or lost.mean() > MOST_LOST:
+            return self._by_physics(y, flags, wrench, None)
+        told = self.fitted.predict(self._whole(y, lost)[self._columns][None])
+        verdict = told.verdicts[0]
+        if verdict.alarm:
+            return self._by_physics(y, flags, None, verdict)
+        load, std = told.mean[0], told.std[0]
+        facts = ForceFacts.of({
+            "m": int(np.sum(~lost)), "n": len(load), "lost": int(lost.sum()), "novelty": verdict.value,
+            "novelty_by": words(verdict), "answered_by": self.name, "engine": self.fitted.engine.name,
+            "provided": self.sensor.provided(self.depth is not None),
+            "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}",
+        })  # fmt: skip
+        covariance = self._band.covariance(std, self.sensor.resultant)
+        return self.sensor.answered(load, std, covariance, facts, flags=flags, provenance=self._about)
+
+    def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
+        """Take the mean of unloaded frames as zero. Returns the sensor.
+
+        Raises
+        ------
+        InputError
+            Without frames.
+        """
+        super().zero(frames, depths)
+        self.sensor.offset = self.offset
+        return self
+
+    # -- inside -------------------------------------------------------------------------------------------------------
+    def _gel(self) -> Any:
+        body = self.sensor.pressed_body.body
+        return body if self.sensor.thickness is not None and hasattr(body, "material") else None
+
+    def _by_physics(self, y: Array, flags: Sequence[Flag | None], wrench: Wrench | None, verdict: Any) -> ForceMap:
+        """The sensor's own map, and why."""
+        found = self.sensor.explained(y, flags, wrench)
+        told = {"answered_by": "physics", "engine": self.fitted.engine.name}
+        why: list[Flag] = []
+        if verdict is not None:
+            told |= {"novelty": verdict.value, "novelty_by": words(verdict)}
+            worst = verdict.worst
+            why = [outside_training(worst, words(verdict), verdict.scores[worst], verdict.limits[worst], 1, 1, False)]
+        notes = {**found.provenance, "learned": dict(self._about)}
+        return replace(found, flags=(*why, *found.flags), facts=ForceFacts.of({**found.facts, **told}),
+                       provenance=notes)  # fmt: skip
+
+    def _whole(self, y: Array, lost: Mask) -> Array:
+        """Readings with those of the next markers in place of lost ones."""
+        if not lost.any():
+            return y
+        from scipy.spatial import cKDTree
+
+        filled, count, axes = y.copy(), self.markers.readings_count, len(self.markers.axes)
+        groups = [(self.markers.points[:, :2], slice(k, count, axes)) for k in range(axes)]
+        if self.depth is not None:
+            groups.append((self.depth.points[:, :2], slice(count, None)))
+        for places, rows in groups:
+            values, gone = filled[rows], lost[rows]
+            if gone.all():
+                values[:] = 0.0
+            elif gone.any():
+                near = cKDTree(places[~gone]).query(places[gone], k=min(AROUND, int(np.sum(~gone))))[1]
+                values[gone] = values[~gone][near].reshape(int(gone.sum()), -1).mean(axis=1)
+        return filled
+
+    @cached_property
+    def _columns(self) -> Index:
+        """Of the readings of this sensor, those of the map in its order."""
+        axes, count = len(self.markers.axes), self.markers.readings_count
+        marked = (axes * self._order[:, None] + np.arange(axes)).ravel()
+        return np.concatenate([marked, np.arange(count, len(self.offset))])
+
+    @cached_property
+    def _band(self) -> ResultantBand:
+        return ResultantBand.of(self.fitted.facts["resultant"])
+
+    @cached_property
+    def _about(self) -> dict[str, Any]:
+        facts = self.fitted.facts
+        kept = {key: facts[key] for key in ("coverage", "draws", "training")}
+        return provenance(
+            self.name, settings={"engine": self.fitted.engine.name, "sensor": repr(self.sensor), **kept}, inputs={},
+            model=self.fitted.model.fingerprint, prior=f"presses like those of {facts['draws']} examples",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ResultantBand:
+    """How far resultants are off, beside what the stds of the nodes make of them: a factor each, and how they go along.
+
+    Parameters
+    ----------
+    factors : array (6,)
+    correlation : array (6, 6)
+    """
+
+    factors: Array
+    correlation: Array
+
+    @classmethod
+    def calibrated(cls, fitted: FittedMap, kept: Any, resultant: Array) -> Self:
+        """By the conformal quantile of the draws that were kept apart."""
+        found = []
+        for batch in kept.batches(256):
+            told = fitted.predict(np.asarray(batch.data, float))
+            error = (told.mean - batch.loads) @ resultant.T
+            found.append(error / _alone(told.std, resultant))
+        ratio = np.concatenate(found)
+        factors = np.array([quantile(np.abs(column), fitted.facts["coverage"]) for column in ratio.T]) / Z95
+        return cls(factors, np.corrcoef(ratio.T))
+
+    def covariance(self, std: Array, resultant: Array) -> Array:
+        """Covariance (6, 6) of the resultant of loads with std (n,)."""
+        size = self.factors * _alone(std, resultant)
+        return np.asarray(size[:, None] * self.correlation * size)
+
+    def tree(self) -> dict[str, Array]:
+        """What a file keeps."""
+        return {"factors": self.factors, "correlation": self.correlation}
+
+    @classmethod
+    def of(cls, tree: Mapping[str, Any]) -> Self:
+        """Inverse of `tree`."""
+        return cls(np.asarray(tree["factors"], float), np.asarray(tree["correlation"], float))
+
+
+def _alone(std: Array, resultant: Array) -> Array:
+    """Std of resultants (..., 6) if the loads (..., n) erred independently."""
+    return np.sqrt(np.asarray(std) ** 2 @ (resultant**2).T)
+
+
+def matched(known: Array, places: Array) -> Index:
+    """Which of `places` (N, 2) is each of the `known` ones (N, 2), in m.
+
+    Raises
+    ------
+    InputError
+        They are not the same markers.
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(places)
+    away, order = tree.query(known)
+    pitch = float(np.median(tree.query(places, k=2)[0][:, 1]))
+    if len(known) != len(places) or away.max() > NEAR * pitch or len(set(order.tolist())) < len(known):
+        raise InputError("the markers are not those that the map was learned for", where="markers",
+                         found=f"{len(places)}, up to {1e3 * away.max():.3g} mm away",
+                         expected=f"{len(known)}, within {1e3 * NEAR * pitch:.2g} mm of theirs",
+                         hint="learn a map for this sensor")  # fmt: skip
+    return np.asarray(order, np.intp)

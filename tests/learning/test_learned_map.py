@@ -1,0 +1,235 @@
+"""Learned maps: what their band promises, what they do with readings that they do not know, what they refuse."""
+
+import numpy as np
+import pytest
+
+import loadid
+from loadid import Deconvolution, InputError, LearnedMap, Record, StaticInversion
+from loadid.generate import Examples, TrainingSet
+from structures import Channel, MatrixModel
+
+from .made import (
+    DT,
+    LEVEL,
+    NOISE,
+    SAMPLES,
+    chain,
+    history_map,
+    plate,
+    presses,
+    records,
+    seen,
+    slow,
+    static_map,
+    static_set,
+)
+
+
+# -- the band ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("output", ["load", "resultant"])
+def test_the_band_of_static_loads_covers_what_it_says(output):
+    y, x = presses(3000, 77)
+    found = static_map(output).predict(y)
+    truth = x if output == "load" else x.sum(axis=1, keepdims=True)
+    inside = np.abs(found.mean - truth) <= 1.96 * found.std
+    assert 0.93 <= inside.mean() <= 0.97
+    assert np.mean([v.alarm for v in found.verdicts]) <= 0.01
+
+
+def test_the_band_of_histories_covers_what_it_says_at_the_ends_too():
+    y, x = records(60, 78)
+    found = history_map().predict(y)
+    inside = np.abs(found.mean - x) <= 1.96 * found.std
+    assert 0.93 <= inside.mean() <= 0.97
+    assert inside[:, :5].mean() >= 0.85
+    assert inside[:, -5:].mean() >= 0.85
+    assert np.mean([v.alarm for v in found.verdicts]) <= 0.02  # 1 of 60
+    middle = slice(140, -20)  # at its start a record says less
+    assert np.linalg.norm((found.mean - x)[:, middle]) / np.linalg.norm(x[:, middle]) < 0.02
+
+
+def test_it_is_better_than_the_physics_where_the_prior_says_more():
+    y, x = presses(200, 79, noise=2 * NOISE)
+    plain = StaticInversion(plate()[0]).estimate(y).load
+    assert np.linalg.norm(static_map().predict(y).mean - x) <= 1.02 * np.linalg.norm(plain - x)
+
+
+def test_the_covariance_of_a_static_load_is_that_of_its_errors():
+    y, x = presses(3000, 80)
+    found = static_map()
+    single = found.estimate(y[0])
+    weights = np.array([1.0, -0.5, 2.0, 0.3])
+    errors = (found.predict(y).mean - x) @ weights
+    assert single.functional(weights).std == pytest.approx(np.std(errors), rel=0.12)
+
+
+# -- readings that it does not know ------------------------------------------------------------------------------------
+def test_readings_unlike_the_examples_are_answered_by_the_physics():
+    y, _ = presses(1, 3)
+    strange = y[0] + np.linspace(-3, 3, 8)
+    found = static_map().estimate(strange)
+    physics = StaticInversion(plate()[0]).estimate(strange)
+    np.testing.assert_array_equal(found.load, physics.load)
+    np.testing.assert_array_equal(found.std, physics.std)
+    assert found.facts.novelty > 1
+    assert found.facts.answered_by == "physics"
+    flag = next(f for f in found.flags if f.code == "LID-W609")
+    assert flag.evidence.value > flag.evidence.threshold
+    assert "distance" in str(flag)
+    assert found.provenance["learned"]["family"] == "learned map"
+
+
+def test_readings_like_the_examples_are_answered_by_the_map():
+    y, x = presses(1, 3)
+    found = static_map().estimate(y[0])
+    assert "W609" not in found.codes
+    assert found.facts.novelty < 1
+    assert found.facts.answered_by == "learned map"
+    assert np.linalg.norm(found.load - x[0]) < 0.1 * np.linalg.norm(x[0])
+    np.testing.assert_allclose(found.predicted, plate()[0].static() @ found.load, rtol=1e-9)
+
+
+def test_of_several_frames_those_are_answered_by_the_physics_that_need_it():
+    y, _ = presses(5, 4)
+    y[2] += np.linspace(-3, 3, 8)
+    found = static_map().estimate(y)
+    physics, own = StaticInversion(plate()[0]).estimate(y), static_map().predict(y)
+    np.testing.assert_array_equal(found.load[2], physics.load[2])
+    np.testing.assert_array_equal(np.delete(found.load, 2, 0), np.delete(own.mean, 2, 0))
+    assert "in 1 of 5 frames" in str(next(f for f in found.flags if f.code == "LID-W609"))
+    np.testing.assert_allclose(found.predicted, found.load @ plate()[0].static().T, atol=1e-9)
+
+
+@pytest.mark.parametrize("what", ["a fast sine", "an impact", "a stiffer chain"])
+def test_records_unlike_the_examples_are_answered_by_the_physics(what):
+    rng = np.random.default_rng(5)
+    load = slow(rng)
+    if what == "a fast sine":
+        load = np.sin(2 * np.pi * 40 * DT * np.arange(SAMPLES))
+    if what == "an impact":
+        load = np.zeros(SAMPLES)
+        load[200:202] = 5.0
+    y = seen(load, rng, 1.1 if what == "a stiffer chain" else 1.0)
+    told = history_map().predict(y[None]).verdicts[0]
+    assert told.alarm
+    assert told.value > 1.5
+    found = history_map().estimate(Record(y, DT, chain().sensors))
+    np.testing.assert_array_equal(found.load, Deconvolution(chain()).estimate(Record(y, DT, chain().sensors)).load)
+    assert "W609" in found.codes
+
+
+def test_a_record_with_gaps_is_left_to_the_physics():
+    rng = np.random.default_rng(6)
+    y = seen(slow(rng), rng)
+    y[100:110, 1] = np.nan
+    found = history_map().estimate(Record(y, DT, chain().sensors))
+    assert "samples are missing" in str(next(f for f in found.flags if f.code == "LID-W609"))
+
+
+# -- real records ------------------------------------------------------------------------------------------------------
+def test_a_few_records_with_known_force_bring_gain_and_bias():
+    """A sensor whose structure is 20 % softer, and whose readings do not start at zero."""
+    model, spread = plate()
+    rng = np.random.default_rng(8)
+    offset = np.linspace(-1, 1, 8)
+
+    def real(n):
+        truth = rng.standard_normal((n, 4)) @ spread + 1.0
+        return 1.2 * truth @ model.static().T + offset + NOISE * rng.standard_normal((n, 8)), truth
+
+    y, x = real(8)
+    more = [(one, load) for one, load in zip(y, x, strict=True)]
+    more += [(offset + NOISE * rng.standard_normal(8), np.zeros(4)) for _ in range(4)]
+    fitted = static_map().adapted(more)
+    np.testing.assert_allclose(fitted.adaptation.gain, 1 / 1.2, rtol=0.03)
+    np.testing.assert_allclose(fitted.adaptation.bias, offset, atol=4 * NOISE / 2)
+    y, x = real(200)
+    before, after = static_map().predict(y), fitted.predict(y)
+    assert np.linalg.norm(after.mean - x) < 0.2 * np.linalg.norm(before.mean - x)
+    assert np.mean([v.alarm for v in after.verdicts]) < 0.1 < np.mean([v.alarm for v in before.verdicts])
+    assert np.mean(np.abs(after.mean - x) <= 1.96 * after.std) > 0.85
+
+
+def test_known_resultants_bring_a_gain_too():
+    y, x = presses(6, 81)
+    fitted = static_map().adapted([(1.25 * one, {"sum": load.sum()}) for one, load in zip(y, x, strict=True)])
+    np.testing.assert_allclose(fitted.adaptation.gain, 0.8, rtol=0.03)
+    assert fitted.adaptation.records == 6
+
+
+@pytest.mark.parametrize("known", [{"nothing": 1.0}, np.ones(3), np.full(4, np.nan)])
+def test_known_loads_that_do_not_fit_are_refused(known):
+    with pytest.raises(InputError):
+        static_map().adapted([(presses(1, 0)[0][0], known)])
+
+
+# -- files -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("made", [history_map, lambda: static_map("resultant")])
+def test_a_map_and_that_of_its_file_say_the_same(made, tmp_path):
+    own = made()
+    model = None if own.dt else plate()[0]
+    own.save(tmp_path / "map.h5")
+    assert b"pickle" not in (tmp_path / "map.h5").read_bytes()
+    again = loadid.load_map(tmp_path / "map.h5", model=model)
+    y = records(2, 5)[0] if own.dt else presses(3, 5)[0]
+    a, b = own.predict(y), again.predict(y)
+    np.testing.assert_array_equal(a.mean, b.mean)
+    np.testing.assert_array_equal(a.std, b.std)
+    for one, other in zip(a.verdicts, b.verdicts, strict=True):
+        assert one.scores == pytest.approx(other.scores, rel=1e-9)
+        assert one.limits == other.limits
+    assert again.facts == own.facts
+    assert again.model.fingerprint == own.model.fingerprint
+
+
+def test_files_that_are_no_map_or_of_another_model_are_refused(tmp_path):
+    place = tmp_path / "map.h5"
+    history_map().save(place)
+    with pytest.raises(InputError, match="learned for another model"):
+        loadid.load_map(place, model=chain(1.1))
+    names = [Channel(label=n, quantity="strain", unit="1") for n in ("a1", "a3", "u2")]
+    with pytest.raises(InputError, match="another sensor"):
+        loadid.load_map(place, model=MatrixModel(np.ones((3, 1)), sensors=names, loads=chain().loads))
+    data = bytearray(place.read_bytes())
+    data[len(data) // 2] ^= 1
+    place.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        loadid.load_map(place)
+    chain().save(tmp_path / "model.h5")
+    with pytest.raises(InputError, match="another kind of file"):
+        loadid.load_map(tmp_path / "model.h5")
+    static_map().save(tmp_path / "static.h5")
+    with pytest.raises(InputError, match="not kept in a file"):
+        loadid.load_map(tmp_path / "static.h5")
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+def test_training_sets_that_do_not_fit_are_refused():
+    model, _ = plate()
+    learner = LearnedMap(model)
+    others = [Channel(label=f"s{i}", quantity="strain", unit="1") for i in (1, 0, *range(2, 8))]
+    with pytest.raises(InputError, match="another sensor"):
+        learner.fit(static_set(60, sensors=others))
+    with pytest.raises(InputError, match="another load"):
+        learner.fit(static_set(60, loads=[Channel(label=f"p{i}", quantity="moment", unit="N m") for i in range(4)]))
+    with pytest.raises(InputError, match="too few draws"):
+        learner.fit(static_set(60))
+    with pytest.raises(InputError, match="no such engine"):
+        LearnedMap(model, engine="forest")
+    with pytest.raises(InputError, match="no coverage"):
+        LearnedMap(model, coverage=1.5)
+    y, x = presses(200, 0)
+    y[:, 2] = 0.0
+    dead = TrainingSet.of(Examples.measured(y, x, noise=NOISE), sensors=model.sensors, loads=model.loads)
+    with pytest.raises(InputError, match="reads nothing"):
+        learner.fit(dead)
+
+
+def test_readings_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match="NaN"):
+        static_map().estimate(np.full(8, np.nan))
+    with pytest.raises(InputError, match="different steps"):
+        history_map().estimate(np.zeros((SAMPLES, 3)) + LEVEL, dt=2 * DT)
+    wrong = [Channel(label=c.label, quantity="velocity", unit="m/s") for c in chain().sensors]
+    with pytest.raises(InputError, match="unit of a channel"):
+        history_map().estimate(Record(np.zeros((SAMPLES, 3)) + LEVEL, DT, wrong))

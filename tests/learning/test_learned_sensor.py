@@ -1,0 +1,183 @@
+"""Learned maps of a tactile sensor: on presses of another route, on what they never saw, and as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loadid._learning.network import Schedule
+from loadid.cli import main
+from structures.errors import InputError
+from tactile import ForceMap, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
+
+from .presses import NOISE, pad, places, presses, sensor, training
+
+COUNT = 40
+
+
+@pytest.fixture(scope="module")
+def learned() -> LearnedSensor:
+    return LearnedSensor.fit(sensor(), training(), engine="linear")
+
+
+def away(found: ForceMap, truth: np.ndarray) -> float:
+    """Relative error of a map."""
+    return float(np.linalg.norm(found.load - truth) / np.linalg.norm(truth))
+
+
+def judged(maps: list[ForceMap], truths: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Median error of maps, of normal forces, and the share of forces within their 95 % band (3,)."""
+    R = np.asarray(maps[0].geometry["resultant"])[:3]  # type: ignore[index]
+    force, found = truths @ R.T, np.array([m.resultant().value for m in maps])
+    within = np.abs(found - force) <= 1.96 * np.array([m.resultant().std for m in maps])
+    error = [away(m, t) for m, t in zip(maps, truths, strict=True)]
+    return float(np.median(error)), float(np.median(np.abs(found[:, 2] / force[:, 2] - 1))), within.mean(axis=0)
+
+
+def test_maps_of_fresh_presses_are_better_than_those_of_the_physics_and_in_their_band(learned: LearnedSensor) -> None:
+    motion, loads = presses(COUNT, 1)
+    maps = [learned.estimate(u) for u in motion]
+    own = [m for m, t in zip(maps, loads, strict=True) if m.facts.answered_by == "learned map"]
+    assert len(own) >= 0.9 * COUNT
+    assert all(isinstance(m, ForceMap) and m.units[0] == "Pa" for m in maps)
+    kept = np.array([m.facts.answered_by == "learned map" for m in maps])
+    error, normal, within = judged(own, loads[kept])
+    before, unseen, _ = judged([sensor().estimate(u) for u in motion], loads)
+    assert error < 0.75 * before
+    assert normal < 0.25 < unseen  # in-plane markers tell hardly any normal force
+    assert within.min() >= 0.85
+
+
+def test_the_band_of_nodes_and_wrench_covers_what_it_says(learned: LearnedSensor) -> None:
+    motion, loads = presses(COUNT, 1)
+    maps = [learned.estimate(u) for u in motion]
+    kept = [k for k, m in enumerate(maps) if m.facts.answered_by == "learned map"]
+    inside = [np.abs(maps[k].load - loads[k]) <= 1.96 * maps[k].std for k in kept]
+    assert 0.92 <= np.mean(inside) <= 0.98
+    assert maps[kept[0]].torque().std.shape == (3,)
+
+
+def test_what_the_set_does_not_have_is_answered_by_the_physics(learned: LearnedSensor) -> None:
+    motion, _ = presses(COUNT, 1)
+    disorder = 1e-4 * np.random.default_rng(0).standard_normal(motion[0].shape)
+    strange = {"pulled apart": 0.1 * places(), "disorder": disorder, "ten times as hard": 10 * motion[0]}
+    for name, seen in strange.items():
+        found = learned.estimate(seen)
+        assert found.facts.answered_by == "physics", name
+        assert found.facts.novelty is not None
+        assert found.facts.novelty > 1
+        assert found.flags[0].code == "LID-W609"
+        alone = sensor().estimate(seen)
+        assert np.array_equal(found.load, alone.load)
+        assert np.array_equal(found.std, alone.std)
+        assert np.array_equal(found.resultant().std, alone.resultant().std)
+
+
+def test_a_wrench_and_many_lost_markers_are_for_the_physics(learned: LearnedSensor) -> None:
+    motion, _ = presses(COUNT, 1)
+    met = learned.estimate(motion[0], wrench=Wrench((0.0, 0.0, -0.2)))
+    assert met.facts.answered_by == "physics"
+    assert met.resultant().value == pytest.approx([0, 0, -0.2], abs=1e-9)
+    few, many = motion[0].copy(), motion[0].copy()
+    few[[3, 20]], many[:12] = np.nan, np.nan
+    found = learned.estimate(few)
+    assert (found.facts.answered_by, found.facts.lost) == ("learned map", 4)
+    whole = learned.estimate(motion[0])
+    assert away(found, whole.load) < 0.2
+    assert learned.estimate(many).facts.answered_by == "physics"
+
+
+def test_a_map_is_kept_in_a_file_and_holds_for_markers_found_again(learned: LearnedSensor, tmp_path: Path) -> None:
+    motion, _ = presses(COUNT, 1)
+    learned.save(tmp_path / "map.h5")
+    again = LearnedSensor.read(tmp_path / "map.h5", sensor())
+    want = learned.estimate(motion[0])
+    found = again.estimate(motion[0])
+    assert np.array_equal(found.load, want.load)
+    assert np.array_equal(found.resultant().std, want.resultant().std)
+    turned = LearnedSensor.read(tmp_path / "map.h5", sensor(places()[::-1] + 1e-5))
+    assert turned.estimate(motion[0][::-1]).load == pytest.approx(want.load, rel=1e-9)
+    with pytest.raises(InputError, match="the markers are not those"):
+        LearnedSensor.read(tmp_path / "map.h5", sensor(places() + 4e-4))
+    other = Pad(size=(10e-3, 9e-3), thickness=2e-3, E=150e3, nu=0.45, elements=(10, 9), layers=2, allow=("W115",))
+    with pytest.raises(InputError, match="learned for another model"):
+        LearnedSensor.read(tmp_path / "map.h5", MultilayerPad(other, Markers(places(), NOISE), choice=0.01))
+
+
+def test_a_map_is_reported_drawn_and_kept_as_any_other(learned: LearnedSensor, tmp_path: Path) -> None:
+    found = learned.estimate(presses(COUNT, 1)[0][0])
+    found.save(tmp_path / "force.h5")
+    again = ForceMap.read(tmp_path / "force.h5")
+    assert np.array_equal(again.load, found.load)
+    assert again.facts.answered_by == "learned map"
+    found.report(tmp_path / "force.html")
+    found.plot(path=tmp_path / "force.png")
+    assert (tmp_path / "force.png").stat().st_size > 10_000
+    assert "learned map" in (tmp_path / "force.html").read_text("utf-8")
+
+
+def test_the_command_takes_a_map(learned: LearnedSensor, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    motion, _ = presses(COUNT, 1)
+    table = """[pad]
+size = ["10 mm", "9 mm"]
+thickness = "2 mm"
+E = "0.147 MPa"
+nu = 0.45
+pitch = "1 mm"
+layers = 2
+[markers]
+unit = "m"
+noise = "2 um"
+[contact]
+penalty = "identity"
+"""
+    (tmp_path / "pad.toml").write_text(table, "utf-8")
+    strange = 1e-4 * np.random.default_rng(0).standard_normal(motion[0].shape)
+    shown = np.array([0 * motion[0], *motion[:3], strange]) + places()
+    rows = [f"{k + 1},{i},{x:.9f},{y:.9f}" for k, frame in enumerate(shown) for i, (x, y) in enumerate(frame)]
+    (tmp_path / "seen.csv").write_text("\n".join(["frame,id,x,y", *rows]), "utf-8")
+    learned.save(tmp_path / "map.h5")
+    words = ["tactile", str(tmp_path / "seen.csv"), "--pad", str(tmp_path / "pad.toml"), "--unloaded", "1",
+             "--allow", "W115", "--map", str(tmp_path / "map.h5"), "-o", str(tmp_path / "force.h5")]  # fmt: skip
+    assert main(words) == 0
+    assert "LearnedSensor: linear, 300 presses" in capsys.readouterr().out
+    found = ForceMap.read(tmp_path / "force.h5")
+    assert list(found.facts.answered_by)[1:] == ["learned map"] * 3 + ["physics"]  # type: ignore[arg-type]
+    assert away(found.frame(1), learned.estimate(motion[0]).load) < 0.01  # micrometres to nine digits
+    assert main([*words, "--sensor", "gelslim"]) == 3
+
+
+def test_zero_is_that_of_map_and_physics() -> None:
+    motion, _ = presses(COUNT, 1)
+    own = LearnedSensor.fit(sensor(), training(), engine="linear")
+    drift = np.full((len(places()), 2), 3e-5)
+    own.zero([drift])
+    plain = LearnedSensor.fit(sensor(), training(), engine="linear")
+    assert own.estimate(motion[0] + drift).load == pytest.approx(plain.estimate(motion[0]).load, rel=1e-9)
+    assert np.array_equal(own.sensor.offset, own.offset)
+
+
+def test_a_network_over_the_same_presses_beats_the_linear_map(learned: LearnedSensor) -> None:
+    pytest.importorskip("torch")
+    plan = Schedule(epochs=15, batch=16, rate=3e-3)
+    deep = LearnedSensor.fit(sensor(), training(), engine="torch", seed=1, schedule=plan)
+    motion, loads = presses(COUNT, 1)
+    values = motion.reshape(COUNT, -1)
+    errors = [np.linalg.norm(s.fitted.predict(values).mean - loads, axis=1) / np.linalg.norm(loads, axis=1)
+              for s in (deep, learned)]  # fmt: skip
+    assert deep.fitted.engine.form.kind == "maps"
+    assert np.median(errors[0]) < 0.9 * np.median(errors[1])
+
+
+def test_a_pad_keeps_its_grid() -> None:
+    from loadid._learning.network.forms import Grid
+
+    grid = Grid.of(pad().nodes2d, 3)
+    assert grid is not None
+    assert (grid.order.shape, grid.padded) == ((10, 11), (12, 12))
+    values = np.random.default_rng(0).standard_normal((2, 330)).astype(np.float32)
+    assert np.array_equal(grid.flat(grid.image(values)), values)
+    assert np.all(np.diff(pad().nodes2d[grid.order][..., 0], axis=1) > 0)
+    assert Grid.of(np.random.default_rng(0).standard_normal((110, 2)), 3) is None

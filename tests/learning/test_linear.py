@@ -1,0 +1,106 @@
+"""The linear engine against the formulas of its source, written out densely."""
+
+import numpy as np
+import pytest
+
+from loadid._learning.linear import LinearEngine, solved, windows
+from loadid._learning.training import Lesson
+from loadid._learning.triangle import Triangle
+from loadid.generate import Examples, TrainingSet
+from structures import InputError
+
+from .made import presses
+
+
+def parts(n=400):
+    y, x = presses(n, 3)
+    return Triangle.of((y[i : i + 37], x[i : i + 37]) for i in range(0, n, 37)), y, x
+
+
+def test_the_map_is_the_covariance_of_loads_and_readings_over_that_of_readings():
+    examples, y, x = parts()
+    found = solved(examples, None)
+    dy, dx = y - y.mean(axis=0), x - x.mean(axis=0)
+    B = np.linalg.solve(dy.T @ dy, dy.T @ dx)
+    np.testing.assert_allclose(found.B, B, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(found.intercept, x.mean(axis=0) - y.mean(axis=0) @ B, rtol=1e-8, atol=1e-10)
+    left = dx.T @ dx - dx.T @ dy @ B
+    np.testing.assert_allclose(found.W.T @ found.W, left / (len(y) - 1 - y.shape[1]), rtol=1e-7, atol=1e-12)
+
+
+def test_it_tends_to_the_posterior_of_the_ensemble():
+    """Against C_xy C_yy^(-1) of the true ensemble, which examples only sample."""
+    from .made import NOISE, plate
+
+    model, spread = plate()
+    H, C = model.static(), spread.T @ spread
+    gain = C @ H.T @ np.linalg.inv(H @ C @ H.T + NOISE**2 * np.eye(8))
+    y, x = presses(20_000, 4)
+    found = solved(Triangle.of([(y, x)]), None)
+    np.testing.assert_allclose(found.B.T, gain, atol=0.02 * np.abs(gain).max())
+    np.testing.assert_allclose(found.W.T @ found.W, C - gain @ H @ C, atol=0.06 * np.abs(C - gain @ H @ C).max())
+
+
+def test_a_ridge_is_that_of_ridge_regression():
+    examples, y, x = parts()
+    found = solved(examples, None, ridge=0.05)
+    dy, dx = y - y.mean(axis=0), x - x.mean(axis=0)
+    lam = 0.05 * np.linalg.norm(dy, 2)
+    B = np.linalg.solve(dy.T @ dy + lam**2 * np.eye(8), dy.T @ dx)
+    np.testing.assert_allclose(found.B, B, rtol=1e-7, atol=1e-10)
+
+
+def test_some_of_the_features_need_no_second_reading():
+    examples, y, x = parts()
+    kept = np.array([0, 3, 4, 7])
+    direct = solved(Triangle.of([(y[:, kept], x)]), None)
+    np.testing.assert_allclose(solved(examples.only(kept), None).B, direct.B, rtol=1e-8, atol=1e-10)
+
+
+def test_errors_on_other_examples_are_those_of_the_examples():
+    examples, _, _ = parts()
+    one = solved(examples, None)
+    y, x = presses(300, 9)
+    other = Triangle.of([(y, x)])
+    direct = np.sqrt(np.mean((one.intercept + y @ one.B - x) ** 2, axis=0))
+    np.testing.assert_allclose(other.error(one.intercept, one.B), direct, rtol=1e-8)
+
+
+def test_ends_of_a_record_are_mapped_by_what_lies_inside():
+    """Least squares of every example at that sample, features written out."""
+    rng = np.random.default_rng(0)
+    g = rng.standard_normal((150, 60, 1))
+    g[:, 1:] += 0.7 * g[:, :-1]
+    y = np.concatenate([g + 0.5 * np.roll(g, 1, axis=1), g - 0.3 * np.roll(g, -2, axis=1)], axis=2)
+    y += 0.1 * rng.standard_normal(y.shape)
+    whole = TrainingSet.of(Examples.measured(y, g, noise=0.1), dt=0.01)
+    a, b, c = whole.split((0.7, 0.15, 0.15))
+    engine = LinearEngine.learn(Lesson(a, b, c, np.ones(2), None, 0.01))
+    h = engine.half
+    assert 2 <= h <= 10
+    fitted, truth = a.read().data, a.read().loads
+    rows = np.concatenate([w for record in fitted for _, w in windows(record, h)])
+    targets = np.concatenate([record[h : 60 - h] for record in truth])
+    cut = rows[:, h * 2 :]  # the first sample: nothing before it
+    cut = np.column_stack([np.ones(len(cut)), cut])
+    first = np.linalg.lstsq(cut, targets, rcond=None)[0]
+    mean, std = engine.predict(y[-5:])
+    expected = np.column_stack([np.ones(5), y[-5:, : h + 1].reshape(5, -1)]) @ first
+    np.testing.assert_allclose(mean[:, 0], expected, atol=0.02 * np.std(g))
+    assert np.all(std[:, 0] > std[:, 30])
+    assert np.all(std[:, -1] > std[:, 30])
+    inside = np.sqrt(np.mean((mean - g[-5:])[:, h:-h] ** 2))
+    assert inside == pytest.approx(std[0, 30, 0], rel=0.25)
+    with pytest.raises(InputError, match="shorter than the window"):
+        engine.predict(y[:1, : 2 * h])
+
+
+@pytest.mark.parametrize("flaw", ["two loads alike", "too few"])
+def test_examples_that_do_not_span_the_loads_are_refused(flaw):
+    y, x = presses(400 if flaw == "two loads alike" else 4, 0)
+    if flaw == "two loads alike":
+        x[:, 1] = 2 * x[:, 0]
+    whole = TrainingSet.of(Examples.measured(y, x, noise=0.05))
+    parts = (whole, whole, whole)
+    with pytest.raises(InputError, match="does not span the loads"):
+        LinearEngine.learn(Lesson(*parts, scale=np.full(8, 0.05)))
