@@ -10,9 +10,8 @@ exactly those that the inverse believes in. The map is judged on presses of anot
 A map's error is the L2 norm of what is wrong with its tractions at all nodes over that of the truth: the median over
 the presses. In the plane alone the pressure is hardly seen; with a depth map it is.
 
-Run ``python -m case_studies.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``. 5000 draws take a
-quarter of an hour of one core; what was drawn stays in the folder ``learned_skin``, and a second run takes it from
-there.
+Run ``python -m case_studies.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``, of 1000 draws
+where nothing is said. What was drawn stays in the folder ``learned_skin``, and a second run takes it from there.
 """
 
 from __future__ import annotations
@@ -117,14 +116,14 @@ def _fewer(kept: TrainingSet, of: MultilayerPad) -> TrainingSet:
     return TrainingSet.of(less, sensors=of.model.sensors, loads=of.model.loads)
 
 
-def drawn(of: MultilayerPad, folder: Path, draws: int, tested: int = TESTED, progress: Any = None) -> Sets:
-    """All presses, from a folder or made."""
+def drawn(of: MultilayerPad, folder: Path, draws: int, tested: int = TESTED, workers: int | None = None) -> Sets:
+    """All presses, from a folder or made by so many processes."""
     truth, strange = [pad(nu, 2) for nu in (0.44, 0.45, 0.46)], pad(0.40, 2)
 
     def some(name: str, bodies: Sequence[IndenterRange], seed: int, gel: Any = truth, E: Any = (0.95, 1.05)) -> Any:
         count = draws if name == "training" else tested
         told = declared(bodies, E)
-        return presses(of, told, folder / name, draws=count, seed=seed, truth=gel, progress=progress)
+        return presses(of, told, folder / name, draws=count, seed=seed, truth=gel, workers=workers)
 
     tests = {"in the set": some("in the set", KNOWN, 1)}
     tests |= {name: some(name, [body], 2 + k) for k, (name, body) in enumerate(UNSEEN.items())}
@@ -257,7 +256,7 @@ def _title(way: str, found: Any) -> str:
     return f"{way}: {'strange, by physics' if found.facts.answered_by == 'physics' else 'answered'}"
 
 
-def main(draws: int = 5000) -> None:
+def main(draws: int = 1000) -> None:
     """Print the table, and save the picture."""
     whole = sensor(deep=True)
     flat = sensor(deep=False)
