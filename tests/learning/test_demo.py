@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from case_studies import learned_resultant as study
-from case_studies.learned_skin import Sets, drawn, sensor
 from loadid import LearnedMap
 from loadid._learning.network import Schedule
 from tactile import LearnedSensor
 from tactile._commands import _skin
+from tests.benchmarks import learned_resultant as study
+from tests.benchmarks.learned_skin import Sets, drawn, sensor
 
 
 def test_the_demonstration_tells_and_draws_and_does_without_torch(
