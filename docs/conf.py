@@ -7,7 +7,8 @@ author = "The loadid developers"
 copyright = "2026, The loadid developers"
 version = release = installed("loadid")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.making.formulas", "docs.making.links"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.making.formulas", "docs.making.links",
+              "docs.making.sentences"]  # fmt: skip
 exclude_patterns = ["making", "gallery/*.json", "**/__pycache__"]
 default_role = "name"
 language = "en"
@@ -36,6 +37,7 @@ html_title = "loadid"
 html_context = {"default_mode": "auto"}
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_sidebars = {"choosing": []}  # a page without others beside it
 html_copy_source = False
 html_show_sourcelink = False
 html_favicon = "static/favicon.svg"

@@ -106,6 +106,14 @@ def test_every_public_name_has_its_entry(pages: dict[str, Page]) -> None:
     assert [n.full for n in reference.names() if f"#{n.entry}" not in linked[n.module]] == []
 
 
+def test_a_colon_in_the_sentence_of_a_property_parts_no_type(site: Path) -> None:
+    text = (site / "reference" / "tactile.html").read_text("utf-8")
+    entry = text.partition('id="tactile.Press.parts"')[2].partition("</dd>")[0]
+    assert "<p>Itself alone: what a sum is made of.</p>" in entry
+    assert not [page.name for page in site.glob("reference/*.html")
+                if '>Type<span class="colon">' in page.read_text("utf-8")]  # fmt: skip
+
+
 def test_the_manual_tells_of_every_page_that_it_holds() -> None:
     """By a row of its table: a page that only the side bar names is found by nobody who does not know of it."""
     from docs.making import site

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 SHARED = (".uff", ".unv", ".csv", ".txt", ".mm")  # FRFs and matrices come in these too
 WHOLE = 3000  # free DOFs up to which a model is kept whole where no band is named
+OF_MATRICES = ("band", "modes", "supports", "dofs", "names")
+MODES = re.compile(rb"^ *-1 *\r?\n *55 *\r?$", re.MULTILINE)
 STEPS = 6
 Tell = Callable[[str], None]
 
@@ -25,8 +28,11 @@ def is_fe(files: Sequence[str | Path], settings: Mapping[str, Any]) -> bool:
 
     if "units" in settings:
         return True
+    placed = bool(settings.get("sensors") or settings.get("loads"))  # FRFs have their places themselves
     return any(
-        (suffix in FE_SUFFIXES and suffix not in SHARED) or (suffix == ".mtx" and _bare(f))
+        (suffix in FE_SUFFIXES and suffix not in SHARED)
+        or (suffix == ".mtx" and _bare(f))
+        or (placed and suffix in (".uff", ".unv") and _modal(f))
         for f, suffix in ((f, Path(f).suffix.lower()) for f in files)
     )
 
@@ -36,6 +42,14 @@ def _bare(path: str | Path) -> bool:
     try:
         with open(path, "rb") as file:
             return file.read(14).lower() != b"%%matrixmarket"
+    except OSError:
+        return False
+
+
+def _modal(path: str | Path) -> bool:
+    """A universal file with a data set 55."""
+    try:
+        return MODES.search(Path(path).read_bytes()) is not None
     except OSError:
         return False
 
@@ -78,10 +92,14 @@ def imported(
     fe = read_fe(
         list(files), units=settings.get("units"), dofs=settings.get("dofs"), material=words.get("material"),
         supports=held if isinstance(held, list) else [p.strip() for p in str(held).split(",")] if held else (),
-        modal_mass=settings.get("modal_mass"),
+        names=settings.get("names"), modal_mass=settings.get("modal_mass"),
     )  # fmt: skip
     damping = words.get("damping")
     if fe.K is None and fe.modes is not None:
+        strange = [name for name in OF_MATRICES if settings.get(name) is not None]
+        if strange:
+            raise InputError("modes of a file have no such setting", where=fe.source, found=", ".join(strange),
+                             expected="units, damping, modal_mass", hint="these belong to K and M")  # fmt: skip
         tell(str(fe.summary()))
         return fe.modal(sensors, loads, damping)
     try:
@@ -94,7 +112,7 @@ def imported(
             expected=error.expected, hint="; ".join([error.hint, *fits]) if fits else error.hint, code=error.code,
         ) from None  # fmt: skip
     small = structure if reduced is None else reduced.structure
-    model = ForwardModel(small, sensors, loads, modes=settings.get("modes") if reduced is None else None)
+    model = ForwardModel(small, sensors, loads, modes=settings.get("modes"))
     step("summary")
     tell(str(fe.summary(known(model, reduced))))
     if reduced is not None:
@@ -120,7 +138,7 @@ def _reduced(
     from structures._models.substructure import reduce
 
     band, free = settings.get("band"), structure.free.size
-    if structure.M is None or (band is None and free <= WHOLE):
+    if band is None and (structure.M is None or free <= WHOLE):
         return None
     if band is None:
         raise InputError(

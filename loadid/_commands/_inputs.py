@@ -278,7 +278,7 @@ def lacking(record: Record, settings: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def amplitudes(record: Record, frequency: float) -> tuple[dict[str, complex], list[float]]:
+def amplitudes(record: Record, frequency: float | None) -> tuple[dict[str, complex], list[float]]:
     """Complex amplitude of every channel at a frequency (Hz), and its std, by least squares over the whole record.
 
     ``y(t) = Re[Y exp(i 2 pi f t)] + constant``; what that leaves of the record is taken for white noise, s: the std of
@@ -287,8 +287,12 @@ def amplitudes(record: Record, frequency: float) -> tuple[dict[str, complex], li
     Raises
     ------
     InputError
-        A record of less than a period, gaps, a frequency beyond Nyquist.
+        No frequency, a record of less than a period, gaps, a frequency beyond Nyquist.
     """
+    if frequency is None:
+        raise InputError("at which frequency does the load act?", where="frequency", found="none stated",
+                         expected="the frequency of the load in Hz",
+                         hint="--frequency 25, or frequency = 25 in the job")  # fmt: skip
     t = np.arange(len(record.values)) * record.dt
     if not 1 / max(len(t) * record.dt, record.dt) <= frequency < 0.5 / record.dt:
         raise InputError("the record does not hold this frequency", where="frequency", found=f"{frequency:g} Hz",

@@ -209,7 +209,7 @@ def _estimated(family: str, found: Any, model: Model, responses: Sequence[str] |
         order = [*order, *settings.get("validation", ())] if "sensors" in settings else order
         settings["noise"] = inputs.noise(settings["noise"], labels, order)
     if family == "harmonic" and _is_record(found):
-        found, spread = inputs.amplitudes(found, float(settings.get("frequency") or 0.0))
+        found, spread = inputs.amplitudes(found, settings.get("frequency"))
         found = {label: found[label] for label in used}
         settings.setdefault("noise", [spread[whole.labels.index(label)] for label in used])
         settings.setdefault("noise_source", "residual")

@@ -212,6 +212,7 @@ KEYS = {
     "length_unit": Key(("import",), "UNIT", "of the matrices; default m"),
     "force_unit": Key(("import",), "UNIT", "of the matrices; default N"),
     "units": Key(("import",), "LENGTH,FORCE", "of the files of a finite-element program: mm,N (mass in t) or m,N"),
+    "names": Key(("import",), "K=NAME,...", "matrices of the files, where their names leave open which they are"),
     "band": Key(("import",), "HZ", "highest frequency of interest: a large finite-element model is reduced to it"),
     "modal_mass": Key(("import",), "MASS", "of modes whose file does not state it; 1 where normalised to mass"),
     "frf_kind": Key(("import",), "KIND", "of FRFs whose file does not say it: accelerance, mobility or receptance"),
@@ -291,7 +292,8 @@ def _frfs(path: str | Path, settings: Mapping[str, Any]) -> Model:
     strange = [name for name in settings if name not in FRFS]
     if strange:
         raise InputError("FRFs have no such setting", where=WHERE, found=", ".join(strange),
-                         expected=f"the file, and {', '.join(FRFS)} where it leaves them open")  # fmt: skip
+                         expected=f"the file, and {', '.join(FRFS)} where it leaves them open",
+                         hint="for modes in place of FRFs state --units as well")  # fmt: skip
     return read_frfs(path, **{word: settings[name] for name, word in FRFS.items() if name in settings})
 
 
@@ -309,10 +311,13 @@ def _of_solver(
     wrong = [name for name in ("length_unit", "force_unit", *FRFS) if name in settings]
     if wrong:
         raise InputError("no setting of the files of a finite-element program", where=WHERE, found=", ".join(wrong),
-                         expected="units, dofs, supports, damping, band, modes, material, modal_mass")  # fmt: skip
+                         expected="units, dofs, supports, names, damping, band, modes, material and modal_mass",
+                         )  # fmt: skip
     asked = dict(settings)
     asked |= {name: size(settings[name], name, "Hz") for name in ("band",) if name in settings}
     asked |= {"modes": _whole(settings.get("modes"), "modes")}
+    if "names" in settings:
+        asked["names"] = roles(settings["names"])
     if "modal_mass" in settings:
         asked["modal_mass"] = size(settings["modal_mass"], "modal_mass", "1")
     return imported(files, asked, heard, driven, words, progress or _silent, tell or _quiet)
@@ -324,6 +329,22 @@ def _silent(_fraction: float, _text: str) -> None:
 
 def _quiet(_text: str) -> None:
     """Tell nobody."""
+
+
+def roles(value: Any) -> dict[str, str]:
+    """Matrices by what they are: ``"K=KGG,M=MGG"``, or a table.
+
+    Raises
+    ------
+    InputError
+        No such pair, or another role than K, M and C.
+    """
+    pairs = value.items() if isinstance(value, Mapping) else [p.partition("=")[::2] for p in str(value).split(",")]
+    found = {str(role).strip().upper(): str(name).strip() for role, name in pairs}
+    if not set(found) <= {"K", "M", "C"} or not all(found.values()):
+        raise InputError("these name no matrices", where=f"{WHERE}, names", found=repr(value),
+                         expected="K=KGG,M=MGG: K, M or C, and a name")  # fmt: skip
+    return found
 
 
 def ratios(value: Any) -> Any:

@@ -291,6 +291,10 @@ def _table(text: str, columns: int, where: str) -> NDArray[np.float64]:
     if values.shape[1] != columns:
         _refuse_matrix("entries of another length", where, f"{values.shape[1]} numbers per line", f"{columns}")
     finite(values, where=where, hint=FAILED)
+    if not text.endswith(("\n", "\r")):
+        _refuse_matrix(
+            "the file is cut inside its last line", where, repr(text[-24:]), "a line end after the last entry"
+        )
     return values
 
 

@@ -10,6 +10,8 @@ import pytest
 from loadid._learning.network import Schedule
 from tactile import LearnedSensor
 from tactile._commands import _skin
+from tests.benchmarks import learned_resultant as study
+from tests.benchmarks.learned_skin import Sets, drawn, sensor
 
 
 def test_the_demonstration_tells_and_draws_and_does_without_torch(

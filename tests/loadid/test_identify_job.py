@@ -342,6 +342,14 @@ def test_what_takes_long_is_left_out_and_said(
     assert "--all asks them" in said
 
 
+def test_a_harmonic_load_is_asked_for_its_frequency(run: Any) -> None:
+    code, _, err = run("identify", "log.csv", "--model", "model.h5", "--family", "harmonic", "-o", "none.h5")
+    assert code == 3
+    assert "at which frequency" in err
+    assert "--frequency" in err
+    assert "0 Hz" not in err
+
+
 def test_families_and_rules_in_one_table(run: Any, tmp_path: Path, folder: Path) -> None:
     few = "deconvolution,first difference,tracker"
     page, picture = tmp_path / "page.html", tmp_path / "loads.png"

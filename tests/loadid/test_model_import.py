@@ -57,6 +57,8 @@ def test_a_band_reduces_it(capsys, tmp_path):
     (["--units", "mm"], "no units of a model"),
     (["--units", "mm,N", "--length-unit", "mm"], "no setting of the files"),
     (["--units", "mm,N", "--supports", "999+X"], "a support that no row has"),
+    (["--units", "mm,N", "--names", "K=KGG"], "no matrix 'KGG'"),
+    (["--units", "mm,N", "--names", "KGG"], "these name no matrices"),
 ])  # fmt: skip
 def test_refusals_leave_no_file(capsys, tmp_path, words, told):
     out = tmp_path / "m.h5"
@@ -72,6 +74,52 @@ def test_modes_become_a_model(capsys, tmp_path):
     code, _ = run(capsys, *files, "--units", "mm,N", "--damping", "0.01", *PLACES, "-o", out)
     assert code == 0
     assert _modelfile.load_any(out).natural_frequencies[0] == pytest.approx(2674.5, rel=1e-4)
+
+
+def test_modes_take_no_settings_of_matrices(capsys, tmp_path):
+    files = [FIXTURES / "modes.op2", FIXTURES / "nodes.bdf"]
+    code, said = run(capsys, *files, "--units", "mm,N", "--damping", "0.01", "--band", "500", *PLACES, "-o",
+                     tmp_path / "m.h5")  # fmt: skip
+    assert code == 3
+    assert "no such setting" in said.err
+
+
+def test_universal_modes_need_no_units_of_the_command(capsys, tmp_path):
+    from tests.structures.fe.test_read import UNIVERSAL
+
+    path, out = tmp_path / "m.unv", tmp_path / "m.h5"
+    path.write_text(UNIVERSAL.format(cs=0))
+    code, said = run(capsys, path, "--sensor", "displacement:8+Z", "--load", "point:7+Z", "-o", out)
+    assert code == 0, said.err
+    assert _modelfile.load_any(out).natural_frequencies.tolist() == [10.0]
+
+
+def test_names_say_which_matrix_is_which(capsys, tmp_path):
+    """Two matrices may be K: the refusal tells what to say, and saying it is enough."""
+    from scipy import io, sparse
+
+    for name, k in (("KGG", 1.0), ("KAA", 4.0), ("MGG", 1.0)):
+        io.mmwrite(tmp_path / f"{name}.mtx", sparse.coo_matrix(k * (2 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1))
+                                                               if name[0] == "K" else np.eye(12)))  # fmt: skip
+    (tmp_path / "g.bdf").write_text("GRID,1,0,0.,0.,0.\nGRID,2,0,5.,0.,0.\n")
+    words = [*(tmp_path / f for f in ("KGG.mtx", "KAA.mtx", "MGG.mtx", "g.bdf")), "--units", "m,N",
+             "--sensor", "displacement:2+Z", "--load", "point:1+X", "-o", tmp_path / "m.h5"]  # fmt: skip
+    code, said = run(capsys, *words)
+    assert code == 3
+    assert "--names K=KGG" in said.err
+    assert run(capsys, *words, "--names", "K=KAA")[0] == 0
+    stiff = _modelfile.load(tmp_path / "m.h5").natural_frequencies[0]
+    assert run(capsys, *words, "--names", "K=KGG")[0] == 0
+    assert stiff == pytest.approx(2 * _modelfile.load(tmp_path / "m.h5").natural_frequencies[0])
+
+
+def test_a_band_keeps_the_modes_that_are_asked_and_needs_a_mass(capsys, tmp_path):
+    words = ["--units", "mm,N", "--damping", "0.01", "--band", "4000", *PLACES, "-o", tmp_path / "m.h5"]
+    assert run(capsys, *FILES, *words, "--modes", "2")[0] == 0
+    assert len(_modelfile.load(tmp_path / "m.h5").natural_frequencies) == 2
+    code, said = run(capsys, FILES[0], *words)
+    assert code == 3
+    assert "mass" in said.err
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")

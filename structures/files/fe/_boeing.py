@@ -17,6 +17,7 @@ from scipy import sparse
 from ._parts import CUT, ROWS, Matrix, Parts, refuse, square, text_of
 
 _FORMAT = re.compile(r"\(?\s*(?:\d+P\s*,?\s*)?(\d+)\s*\(?\s*[IEDFG](\d+)(?:\.\d+)?(?:E\d+)?\s*\)*", re.IGNORECASE)
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d+)?")
 _NAMES = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 
 
@@ -85,6 +86,8 @@ def _block(lines: list[str], width: int, count: int, where: str) -> NDArray[np.f
     if len(words) != count:
         text = [line[k : k + width].strip() for line in lines for k in range(0, len(line.rstrip()), width)]
         words = [w.replace("D", "E") for w in text]
+    if len(words) != count or any(_NUMBER.fullmatch(w) is None for w in words):
+        words = _NUMBER.findall(" ".join(lines).replace("D", "E"))  # fields narrower than they are said to be
     if len(words) != count:
         refuse(CUT, where, f"{len(words)} numbers", f"{count}, as the header says")
     try:

@@ -17,6 +17,8 @@ from ._parts import CUT, Matrix, Parts, labelled, refuse, text_of
 
 _REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))(?:[EDed]?([+-]?\d+))?")
 Card = tuple[str, list[str], int]
+SUPPORTS = ("SPC", "SPC1")
+READ = ("DMIG", "GRID", *SUPPORTS)
 
 
 def read(path: Path) -> Parts:
@@ -30,11 +32,13 @@ def read(path: Path) -> Parts:
     where = str(path)
     matrices: dict[str, _Entries] = {}
     grids: dict[int, tuple[float, ...]] = {}
-    elsewhere, turned = 0, 0
+    elsewhere, turned, single = 0, 0, 0
     for name, fields, line in _cards(text_of(path), where):
         at = f"{where}, line {line}"
         if name == "DMIG":
             _dmig(fields, matrices, at)
+        elif name in SUPPORTS:
+            single += 1
         else:
             node = _whole(fields[0], at)
             places = tuple(_real(_field(fields, k), at) for k in (2, 3, 4))
@@ -42,6 +46,7 @@ def read(path: Path) -> Parts:
                 refuse("a GRID point twice", at, node, "each once", "leave one out")
             elsewhere += _field(fields, 1) not in ("", "0")
             turned += _field(fields, 5) not in ("", "0")
+            single += _field(fields, 6) not in ("", "0")
             grids[node] = places
     found = {name: m.matrix(name, where) for name, m in matrices.items() if m.square}
     if not found and not grids:
@@ -50,12 +55,14 @@ def read(path: Path) -> Parts:
     notes = [f"{path.name}: {m} is rectangular, and is passed over" for m, e in matrices.items() if not e.square]
     if elsewhere:
         notes.append(f"{path.name}: {elsewhere} GRID points stand in a coordinate system of their own: no places read")
-        grids = {}
+    if single:
+        notes.append(f"{path.name}: {single} supports (SPC, SPC1, PS of a GRID) are not applied: name those that K of "
+                     "the g-set needs as supports")  # fmt: skip
     if turned:
         notes.append(f"{path.name}: {turned} GRID points have directions of their own (CD): labels follow these")
-    nodes = sorted(grids)
+    nodes, unplaced = ([], sorted(grids)) if elsewhere else (sorted(grids), [])
     return Parts(
-        matrices=found, nodes=np.array(nodes, np.int64), notes=tuple(notes),
+        matrices=found, nodes=np.array(nodes, np.int64), unplaced=np.array(unplaced, np.int64), notes=tuple(notes),
         places=np.array([grids[n] for n in nodes], float).reshape(-1, 3),
     )  # fmt: skip
 
@@ -145,7 +152,7 @@ def _real(text: str, at: str, blank: bool = True) -> float:
 
 
 def _cards(text: str, where: str) -> Iterator[Card]:
-    """DMIG cards and GRID points: name, fields without it, and the line where they begin."""
+    """The cards that are read: name, fields without it, and the line where they begin."""
     name, fields, start = "", [""], 0
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.split("$", 1)[0].rstrip().upper()
@@ -156,7 +163,7 @@ def _cards(text: str, where: str) -> Iterator[Card]:
         if head and head[0] not in "+":
             if name:
                 yield name, fields, start
-            name, fields, start = (head, [], number) if head in ("DMIG", "GRID") else ("", [], number)
+            name, fields, start = (head, [], number) if head in READ else ("", [], number)
             if head == "ENDDATA":
                 return
         if name:

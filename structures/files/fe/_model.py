@@ -121,7 +121,7 @@ class FeModel(ReadOnly):
         if self.K is None:
             raise InputError(
                 "the files hold no stiffness matrix", where=self.source, found=repr(self),
-                expected="K, and M for dynamics", hint="model() takes modes; for a mesh give material=",
+                expected="K, and M for dynamics", hint="modal() takes modes; for a mesh give material=",
             )  # fmt: skip
         K, M, C = (None if A is None else _even(A) for A in (self.K, self.M, self.C))
         assert K is not None

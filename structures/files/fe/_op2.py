@@ -73,9 +73,10 @@ def read(path: Path) -> Parts:
         notes.append(f"{path.name}: {found.elsewhere} GRID points stand in a coordinate system of their own: no places")
     if found.turned:
         notes.append(f"{path.name}: {found.turned} GRID points have directions of their own (CD): labels follow these")
-    nodes = sorted(found.grids) if not found.elsewhere else []
+    nodes, unplaced = ([], sorted(found.grids)) if found.elsewhere else (sorted(found.grids), [])
     return Parts(
-        matrices=found.matrices, nodes=np.array(nodes, np.int64), notes=tuple(notes),
+        matrices=found.matrices, nodes=np.array(nodes, np.int64), unplaced=np.array(unplaced, np.int64),
+        notes=tuple(notes),
         places=np.array([found.grids[n] for n in nodes], float).reshape(-1, 3),
         modes=together(modes, where) if modes else None,
     )  # fmt: skip

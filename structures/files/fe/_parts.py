@@ -72,6 +72,8 @@ class Parts:
         By the name in the file; "" where it has none.
     nodes, places : array (nodes,), (nodes, 3)
         Numbers, and where they are.
+    unplaced : array (unplaced,)
+        Numbers of nodes whose places are in a coordinate system of their own.
     modes : Shapes or None
     held : array (held, 2)
         Degrees of freedom that the file holds.
@@ -85,6 +87,7 @@ class Parts:
     matrices: dict[str, Matrix] = field(default_factory=dict)
     nodes: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     places: Array = field(default_factory=lambda: np.empty((0, 3)))
+    unplaced: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     modes: Shapes | None = None
     held: Labels = field(default_factory=lambda: np.empty((0, 2), np.int64))
     rows: Labels | None = None

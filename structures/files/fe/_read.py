@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from ... import units as unit_table
-from ..._advice import Advice, either
+from ..._advice import Advice, Spelling, either
 from ..._channels import Dof
 from ..._elements.members import Material
 from ...errors import InputError, numbers, shown
@@ -45,6 +45,7 @@ _ROLES = {
     "C": re.compile(r"[BC]([A-Z0-9]{1,4}|_.*)?|DMPV.*|DAMP.*", re.IGNORECASE),
 }
 DOFS_OF_GRID = 6
+SAME = 1e-4  # over the largest coordinate: two files have the digits of their texts
 FOREIGN = 0.5  # share of the mass off the diagonal that may lie where the stiffness has no entry
 FE_SUFFIXES = (*READERS, *BINARY, *_mesh.SUFFIXES)
 
@@ -99,7 +100,9 @@ def read_fe(
     paths = _paths(path)
     scale = None if units is None else parse_units(units)
     found = [_parts(p, material, None if scale is None else scale[0]) for p in paths]
-    scale = scale or next((part.scale for part in found if part.scale is not None), None)
+    stated = next((part.scale for part in found if part.scale is not None), None)
+    other = scale is not None and stated is not None and not np.allclose(scale, stated, rtol=1e-6, atol=0.0)
+    scale = scale or stated
     if scale is None:
         raise InputError(
             "the units of the files are not stated", where=", ".join(p.name for p in paths), found="numbers",
@@ -110,6 +113,8 @@ def read_fe(
     table = _dofs(dofs)
     chosen, passed = _chosen(named_parts(found), names, source)
     matrices, labels, notes = _aligned(chosen, _row_labels(found, table, chosen, source), source)
+    if other and stated is not None:
+        notes.append(f"the file states units of {stated[0]:g} m and {stated[1]:g} N: those asked for are taken instead")
     shapes = [part.modes for part in found if part.modes is not None]
     if len(shapes) > 1:
         refuse("modes in two files", source, f"{len(shapes)} sets", "one", "leave one file out")
@@ -197,14 +202,18 @@ def _chosen(
         fits = [asked] if asked else [n for n in found if n not in taken and _role(n) == role]
         if len(fits) > 1:
             refuse(f"several matrices that may be {role}", source, ", ".join(fits), "one",
-                   f'say which: names={{"{role}": "{fits[0]}"}}')  # fmt: skip
+                       Advice("say which: ", _named(role, fits[0])))  # fmt: skip
         if fits:
             out[role] = (fits[0], found[fits[0]])
     if found and "K" not in out:
         refuse("no stiffness matrix", source, ", ".join(found), "one whose name begins with K or STIF",
-               'say which: names={"K": "A"}')  # fmt: skip
+               Advice("say which: ", _named("K", next(iter(found)))))  # fmt: skip
     used = {name for name, _ in out.values()}
     return out, [f"{name}: passed over" for name in found if name not in used]
+
+
+def _named(role: str, name: str) -> Spelling:
+    return either(f'names={{"{role}": "{name}"}}', f"--names {role}={name}")
 
 
 def _role(name: str) -> str:
@@ -237,7 +246,7 @@ def _row_labels(
         refuse("two tables of rows", source, f"{len(given)} files", "one", "leave one out")
     if given:
         return given[0]
-    nodes = np.unique(np.concatenate([part.nodes for part in found]))
+    nodes = np.unique(np.concatenate([n for part in found for n in (part.nodes, part.unplaced)]))
     bare = [m.A.shape[0] for _, m in chosen.values() if m.labels is None]
     if bare and len(nodes) and set(bare) == {DOFS_OF_GRID * len(nodes)}:
         return np.column_stack([np.repeat(nodes, DOFS_OF_GRID), np.tile(np.arange(1, 7), len(nodes))])
@@ -280,7 +289,9 @@ def _aligned(
         if len(theirs) < len(labels):
             notes.append(f"{name} has {len(theirs)} of the {len(labels)} degrees of freedom of {first}")
         out[role] = _placed(A, at, len(labels))
-    if "M" in out:
+    if "M" not in out:
+        notes.append("no mass matrix: a model for static loads alone")
+    else:
         _same_order(out["K"], out["M"], own["M"][0], source)
     return out, labels, notes
 
@@ -317,7 +328,11 @@ def _nodes(found: Sequence[Parts], table: Any) -> tuple[NDArray[np.int64], NDArr
     if table is not None and table[1] is not None and not len(nodes):
         nodes = np.array(sorted({d.node for d in table[0]}), np.int64)
         places = np.pad(np.asarray(table[1], float), ((0, 0), (0, 3 - table[1].shape[1])))
-    known, first = np.unique(nodes, return_index=True)
+    known, first, index = np.unique(nodes, return_index=True, return_inverse=True)
+    apart = np.abs(places - places[first][index.ravel()]).max(axis=1, initial=0.0)
+    if np.any(apart > SAME * np.abs(places).max(initial=0.0)):
+        refuse("a node at two places", "read_fe", f"node {nodes[int(np.argmax(apart))]}", "one place for each node",
+               "leave out the file that numbers its nodes in another way")  # fmt: skip
     return known, places[first]
 
 

@@ -13,6 +13,7 @@ from ._parts import ROWS, Matrix, Parts, labelled, refuse, square, table, text_o
 
 HELD = 1e35  # what Abaqus puts on the diagonal of a degree of freedom that is held
 _NODE = re.compile(r"\*NODE\b(?! *(PRINT|FILE|OUTPUT|RESPONSE))", re.IGNORECASE)
+_ROUND = re.compile(r"SYSTEM *= *[CS]", re.IGNORECASE)  # cylindrical or spherical
 
 
 def abaqus(path: Path) -> Parts:
@@ -74,25 +75,45 @@ def inp(path: Path) -> Parts:
     Raises
     ------
     InputError
-        A line of a node that is none; no nodes.
+        A line of a node that is none; no nodes; a number at two places.
     """
-    where, inside = str(path), False
+    where, word = str(path), ""
+    moved = own = turned = False
     found: dict[int, tuple[float, ...]] = {}
     for number, line in enumerate(text_of(path).splitlines(), 1):
-        bare = line.strip()
+        bare, at = line.strip(), f"{where}, line {number}"
         if not bare or bare.startswith("**"):
             continue
         if bare.startswith("*"):
-            inside = bool(_NODE.match(bare))
-            continue
-        if inside:
-            values = table(bare + "\n", len([w for w in bare.split(",") if w.strip()]), f"{where}, line {number}")[0]
-            node = int(whole(values[:1], f"{where}, line {number}")[0])
-            found[node] = tuple([*values[1:4].tolist(), 0.0, 0.0, 0.0][:3])
+            word = "*NODE" if _NODE.match(bare) else re.split(r"[ ,]", bare.upper())[0]
+            own = own and word != "*SYSTEM"  # one without data ends the one before
+            moved |= word == "*NODE" and (own or bool(_ROUND.search(bare)))
+            turned |= word == "*TRANSFORM"
+            if word == "*NODE" and re.search(r"INPUT *=", bare, re.IGNORECASE):
+                refuse("nodes in another file", at, bare[:80], "nodes with their places", "put them into this file")
+        elif word == "*NODE":
+            node, place = _node(bare, at)
+            if found.setdefault(node, place) != place:
+                refuse("a node at two places", at, f"node {node}", "each number once",
+                       "write the input without parts and instances")  # fmt: skip
+        elif word in ("*SYSTEM", "*INSTANCE"):
+            own, moved = own or word == "*SYSTEM", moved or word == "*INSTANCE"
     if not found:
         refuse("no *NODE block", where, "other keywords", "nodes with their places", "give the file that has the mesh")
-    nodes = sorted(found)
-    return Parts(nodes=np.array(nodes, np.int64), places=np.array([found[n] for n in nodes]))
+    notes = [f"{path.name}: nodes stand in a coordinate system of their own (SYSTEM, INSTANCE): no places read"] * moved
+    notes += [f"{path.name}: *TRANSFORM turns directions of its nodes: labels follow these"] * turned
+    every = np.array(sorted(found), np.int64)
+    if moved:
+        return Parts(unplaced=every, notes=tuple(notes))
+    return Parts(nodes=every, places=np.array([found[n] for n in every.tolist()]), notes=tuple(notes))
+
+
+def _node(bare: str, at: str) -> tuple[int, tuple[float, ...]]:
+    """Number and place of a node; coordinates that are left out are zero."""
+    words = [w.strip() for w in bare.split(",")][:4]
+    values = table(",".join(w or "0" for w in words) + "\n", len(words), at)[0]
+    place = tuple([*values[1:4].tolist(), 0.0, 0.0, 0.0][:3])
+    return int(whole(values[:1], at)[0]), place
 
 
 # -- CalculiX ----------------------------------------------------------------------------------------------------------

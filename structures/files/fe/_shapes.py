@@ -22,6 +22,7 @@ from ._parts import text_of as text
 
 MODAL = 2  # analysis type of data set 55
 COMPLEX = 3
+GLOBAL = 1  # coordinate systems up to this one are the global one
 TITLES = 5
 
 
@@ -78,30 +79,41 @@ def universal(path: Path) -> Parts:
     place = Place(str(path), data_of(path))
     modes: list[Mode] = []
     nodes: dict[int, NDArray[np.float64]] = {}
+    elsewhere = turned = 0
     systems: list[uff.System] = []
     for block in split(place):
         if block.number == 55 and (mode := _mode(block, place)) is not None:
             modes.append(mode)
         elif block.number in (15, 2411, 781):
-            nodes |= _nodes(block, place)
+            rows = _nodes(block, place)
+            nodes |= {int(row[0]): row[4:] for row in rows}
+            elsewhere += int(np.sum(rows[:, 1] > GLOBAL))
+            turned += int(np.sum(rows[:, 2] > GLOBAL))
         elif block.number == 164:
             systems.append(uff.system_of(block, place))
     if not modes and not nodes:
         refuse("neither modes nor nodes", str(path), "other data sets", "data sets 55, and 15 or 2411")
-    known = sorted(nodes)
+    notes = []
+    if elsewhere:
+        notes.append(f"{path.name}: {elsewhere} nodes stand in a coordinate system of their own: no places read")
+    if turned:
+        notes.append(f"{path.name}: {turned} nodes have directions of their own: labels follow these")
+    known, unplaced = ([], sorted(nodes)) if elsewhere else (sorted(nodes), [])
     scale = (systems[0].length, systems[0].force) if systems else None
     return Parts(
         nodes=np.array(known, np.int64), places=np.array([nodes[n] for n in known], float).reshape(-1, 3),
+        unplaced=np.array(unplaced, np.int64), notes=tuple(notes),
         modes=together(modes, str(path)) if modes else None, scale=scale,
     )  # fmt: skip
 
 
-def _nodes(block: Block, place: Place) -> dict[int, NDArray[np.float64]]:
+def _nodes(block: Block, place: Place) -> NDArray[np.float64]:
+    """Number, coordinate systems of its place and its motions, colour, and place of every node."""
     found = numbers(block.body, place, block.at)
     if found.size % 7 or not np.all(np.isfinite(found)) or np.any(found[::7] != np.rint(found[::7])):
         place.refuse(f"data set {block.number} holds no nodes", block.at, f"{found.size} numbers",
                      "for each node its number, three integers and three coordinates")  # fmt: skip
-    return {int(row[0]): row[4:] for row in found.reshape(-1, 7)}
+    return found.reshape(-1, 7)
 
 
 def _mode(block: Block, place: Place) -> Mode | None:

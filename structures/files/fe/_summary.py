@@ -226,6 +226,8 @@ def _frequencies(model: FeModel, wanted: int | Sequence[float]) -> tuple[int | N
     """Rigid-body modes and elastic frequencies; and why there are none."""
     if not isinstance(wanted, int):
         f = np.asarray(wanted, float)
+        if not f.size:
+            return None, (), []
         return int(np.sum(f == 0)), tuple(f[f > 0][:10].tolist()), []
     if model.K is None or model.M is None:
         known = () if model.modes is None else tuple(model.modes.frequencies[:wanted].tolist())

@@ -287,6 +287,124 @@ def test_files_of_other_kinds_are_refused(tmp_path, name, word):
         read_fe(tmp_path / name, units="m,N")
 
 
+# -- nodes in systems of their own ------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("old", "new", "told"), [
+    ("*NODE,NSET=ALL", "*NODE, NSET=ALL, SYSTEM=C", "coordinate system of their own"),
+    ("*NODE,NSET=ALL", "*SYSTEM\n10,10,0,10,20,0\n*NODE,NSET=ALL", "coordinate system of their own"),
+    ("*MATERIAL", "*INSTANCE,NAME=A,PART=P\n5,0,0\n*END INSTANCE\n*MATERIAL", "coordinate system of their own"),
+    ("*MATERIAL", "*TRANSFORM,NSET=ALL,TYPE=R\n0,1,0,-1,0,0\n*MATERIAL", "labels follow"),
+])  # fmt: skip
+def test_input_files_with_systems_of_their_own(plate, tmp_path, old, new, told):
+    text = (FIXTURES / "plate.inp").read_text()
+    (tmp_path / "own.inp").write_text(text.replace(old, new, 1))
+    model = read_fe([*held("plate.sti", "plate.mas"), tmp_path / "own.inp"], units="mm,N")
+    assert any(told in note for note in model.notes)
+    assert (model.coordinates is None) == ("coordinate" in told)
+    (tmp_path / "own.inp").write_text(text.replace("*NODE", "*SYSTEM\n1,0,0\n*SYSTEM\n*NODE", 1))  # ended again
+    model = read_fe([*held("plate.sti", "plate.mas"), tmp_path / "own.inp"], units="mm,N")
+    assert model.coordinates == pytest.approx(plate.coordinates)
+
+
+def test_a_node_has_one_place(tmp_path):
+    text = (FIXTURES / "plate.inp").read_text()
+    (tmp_path / "two.inp").write_text("*NODE\n13,5,5,5\n" + text)
+    (tmp_path / "more.inp").write_text("*NODE\n13,5,5,5\n")
+    (tmp_path / "far.inp").write_text(text.replace("*NODE,NSET=ALL", "*NODE,INPUT=nodes.txt\n*NODE,NSET=ALL"))
+    for names, told in (([tmp_path / "two.inp"], "two places"), ([tmp_path / "far.inp"], "in another file"),
+                        ([tmp_path / "more.inp", FIXTURES / "plate.inp"], "two places")):  # fmt: skip
+        with pytest.raises(InputError, match=told):
+            read_fe([*held("plate.sti", "plate.mas"), *names], units="mm,N")
+
+
+def two_grids(folder, system=0, constraint=""):
+    """K and M of the g-set of two GRID points without names of the rows, and their bulk data."""
+    io.mmwrite(folder / "KGG.mtx", sparse.eye_array(12).tocoo())
+    io.mmwrite(folder / "MGG.mtx", sparse.eye_array(12).tocoo())
+    (folder / "g.bdf").write_text(f"GRID,1,0,0.,0.,0.,0,{constraint}\nGRID,2,{system},5.,0.,0.\n")
+    return [folder / name for name in ("KGG.mtx", "MGG.mtx", "g.bdf")]
+
+
+def test_grid_points_in_a_system_of_their_own_still_name_the_rows(tmp_path):
+    model = read_fe(two_grids(tmp_path, system=3), units="mm,N")
+    assert model.labels.tolist() == [[n, d] for n in (1, 2) for d in range(1, 7)]
+    assert model.coordinates is None
+
+
+def test_supports_of_bulk_data_are_said(tmp_path):
+    files = two_grids(tmp_path, constraint="123")
+    assert "1 supports" in " ".join(read_fe(files, units="m,N").notes)
+    files[-1].write_text("SPC1,1,123456,2\n" + files[-1].read_text())
+    assert "2 supports" in " ".join(read_fe(files, units="m,N").notes)
+    assert not read_fe(two_grids(tmp_path), units="m,N").notes
+
+
+def test_a_static_model_claims_no_free_motions(tmp_path):
+    files = two_grids(tmp_path)
+    told = read_fe([files[0], files[2]], units="m,N")
+    assert told.notes == ("no mass matrix: a model for static loads alone",)
+    assert told.summary([]).rigid is None
+
+
+UNIVERSAL = """    -1
+   164
+         1          SI: Metre         2
+  1.0000000000000000D+00  1.0000000000000000D+00  1.0000000000000000D+00
+  2.7314999999999998D+02
+    -1
+    -1
+    15
+         7         {cs}         0         1  0.00000E+00  0.00000E+00  0.00000E+00
+         8         0         {cs}         1  1.00000E+01  0.00000E+00  0.00000E+00
+    -1
+    -1
+    55
+a
+b
+c
+d
+e
+         1         2         2         8         2         3
+         2         4         1         1
+  1.00000e+01  1.00000e+00  1.00000e-02  0.00000e+00
+         7
+  0.00000e+00  0.00000e+00  1.00000e+00
+         8
+  0.00000e+00  0.00000e+00  2.00000e+00
+    -1
+"""
+
+
+def test_universal_files_with_systems_and_units_of_their_own(tmp_path):
+    path = tmp_path / "m.unv"
+    path.write_text(UNIVERSAL.format(cs=1))
+    assert read_fe(path).notes == ()
+    assert read_fe(path).nodes.tolist() == [7, 8]
+    (note,) = read_fe(path, units="mm,N").notes
+    assert "states units of 1 m and 1 N" in note
+    path.write_text(UNIVERSAL.format(cs=5))
+    model = read_fe(path)
+    assert not len(model.nodes)
+    assert ["coordinate system" in n or "directions" in n for n in model.notes] == [True, True]
+
+
+def test_single_precision_of_scipy(tmp_path):
+    """SciPy writes single numbers narrower than the format that it states: negative ones touch."""
+    K = np.array([[2.0, -1.25], [-1.25, 2.0]], np.float32)
+    io.hb_write(tmp_path / "K.hb", sparse.csc_matrix(np.kron(np.eye(3, dtype=np.float32), K)))
+    model = read_fe(tmp_path / "K.hb", units="m,N", dofs=[f"{k}+X" for k in range(1, 7)])
+    assert np.array_equal(model.K.toarray(), np.kron(np.eye(3), K))
+
+
+def test_matrix_market_cut_inside_its_last_number(tmp_path):
+    path = tmp_path / "K.mtx"
+    io.mmwrite(path, sparse.coo_matrix(np.diag([1.0, 12.375])))
+    data = path.read_bytes()
+    for size in range(len(data) - 4, len(data)):
+        path.write_bytes(data[:size])
+        with pytest.raises(InputError, match="cut"):
+            read_fe(path, units="m,N", dofs=["1+X", "2+X"])
+
+
 COUNTED = {"text.op4", "little.op4", "big.op4", "short.op4", "modes.op2", "matrix.op2"}  # these declare what they hold
 
 

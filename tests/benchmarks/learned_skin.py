@@ -10,8 +10,9 @@ exactly those that the inverse believes in. The map is judged on presses of anot
 A map's error is the L2 norm of what is wrong with its tractions at all nodes over that of the truth: the median over
 the presses. In the plane alone the pressure is hardly seen; with a depth map it is.
 
-Run ``python -m case_studies.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``, of 1000 draws
-where nothing is said. What was drawn stays in the folder ``learned_skin``, and a second run takes it from there.
+Run ``python -m tests.benchmarks.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``. 5000 draws take a
+quarter of an hour of one core; what was drawn stays in the folder ``learned_skin``, and a second run takes it from
+there.
 """
 
 from __future__ import annotations
@@ -256,7 +257,7 @@ def _title(way: str, found: Any) -> str:
     return f"{way}: {'strange, by physics' if found.facts.answered_by == 'physics' else 'answered'}"
 
 
-def main(draws: int = 1000) -> None:
+def main(draws: int = 5000) -> None:
     """Print the table, and save the picture."""
     whole = sensor(deep=True)
     flat = sensor(deep=False)

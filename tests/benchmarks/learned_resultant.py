@@ -1,13 +1,13 @@
 """The force on a skin, on bodies that no map has seen: a network for the resultant beside every other way to it.
 
 After FeelAnyForce (ICRA 2025), which regresses the resultant from images; here presses, gels and camera are those of
-`case_studies.learned_skin`, markers are seen in the plane alone, and all ways stand in one table: `MultilayerPad` by
+`tests.benchmarks.learned_skin`, markers are seen in the plane alone, and all ways stand in one table: `MultilayerPad` by
 itself and with pressures that may not pull, the best linear map and the network, as maps whose tractions are summed and
 as maps of the resultant itself. Errors are means over presses with square, ring and bar, which are in no training set,
 over the range of each force in that set.
 
-Run ``python -m case_studies.learned_resultant [DRAWS]``: prints the table and saves ``learned_resultant.png``, of
-1000 draws where nothing is said; draws are kept in the folder ``learned_skin``.
+Run ``python -m tests.benchmarks.learned_resultant [DRAWS]``: prints the table and saves ``learned_resultant.png``; draws
+are kept in the folder ``learned_skin``.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def picture(rows: Sequence[Answers], path: Path) -> None:
     fig.savefig(path, dpi=110)
 
 
-def main(draws: int = 1000) -> None:
+def main(draws: int = 5000) -> None:
     """Print the table, and save the picture."""
     flat = sensor(deep=False)
     sets = drawn(sensor(deep=True), Path("learned_skin"), draws).without_depth(flat)
