@@ -15,6 +15,7 @@ from loadid._commands import require_outputs
 from loadid._learning.network import Schedule
 from loadid._plots import rendered
 from loadid.generate import TrainingSet
+from structures._threads import one_thread
 from structures.errors import InputError
 from structures.files._storage import replace
 
@@ -106,7 +107,8 @@ def demo(
     learned, without = _learned(of, training, seed, lambda f, w: tell(0.5 + 0.4 * f, w))
     clock.append(time.perf_counter())
     loads = {name: kept.read().loads for name, kept in tests.items()}
-    answers = {name: _answers(kept.read().data, of, learned) for name, kept in tests.items()}
+    with one_thread():  # its matrices are too small to be shared
+        answers = {name: _answers(kept.read().data, of, learned) for name, kept in tests.items()}
     lines = [line for name, found in answers.items() for line in _lines(name, found, loads[name])]
     replace(files["plot"], rendered(picture(loads, answers), str(files["plot"])))
     next(reversed(learned.values())).save(files["map"])

@@ -38,7 +38,7 @@ def test_the_demonstration_tells_and_draws_and_does_without_torch(
 
 def test_the_force_on_bodies_never_seen_from_few_presses(tmp_path: Path) -> None:
     flat = sensor(deep=False)
-    sets: Sets = drawn(sensor(deep=True), tmp_path, 150, tested=20, workers=1).without_depth(flat)
+    sets: Sets = drawn(sensor(deep=True), tmp_path, 120, tested=12, workers=1).without_depth(flat)
     fitted = LearnedMap(flat.model, output="resultant").fit(sets.training)
     rows = study.answered("LMMSE, direct", flat, study.of_resultants(fitted), sets)
     off = np.mean([r.off(study.span(flat, sets)) for r in rows if r.presses in study.UNSEEN], axis=0)
