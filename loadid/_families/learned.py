@@ -20,9 +20,10 @@ from .._learning.adaptation import Adaptation, adapted
 from .._learning.calibration import Factors, calibrated, require_draws
 from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
+from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
-from .._learning.training import Lesson, has_gaps, require_fit, scale_of
+from .._learning.training import Lesson, has_gaps, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
@@ -113,9 +114,10 @@ class LearnedMap:
         Raises
         ------
         InputError
-            A set of other sensors, loads or units, with NaN, too small, or one that does not span the loads.
+            A set of other sensors, loads, units or model, with NaN, too small, or one that does not span the loads.
         """
         require_fit(training, self.model)
+        require_model(training, self.model)
         parts = training.split(PARTS, self.seed)
         require_draws(len(parts[2]))
         dt = training.dt
@@ -130,7 +132,7 @@ class LearnedMap:
             self.model, learned, self.outputs, Factors.none(lesson.outputs), novelty, lesson.scale, dt,
             self.physics,
             {"coverage": self.coverage, "draws": len(training), "training": training.fingerprint,
-             "gaps": has_gaps(training), "hold": self.hold},
+             "gaps": has_gaps(training), "hold": self.hold, **span_facts(learned, self.outputs.labels)},
         )  # fmt: skip
         map_ = _calibrated(map_, lesson, self.coverage)
         self._progress(1.0, "done")
@@ -359,6 +361,7 @@ class FittedMap(ReadOnly):
             *model.flags, guards.not_verified(model.certificate), *given.findings,
             guards.inverse_crime(given.simulated_by, model.fingerprint),
             guards.used_for_training("the record", given.fingerprints & model.training),
+            *guards.not_in_the_set(**{name: self.facts[name] for name in SPAN if name in self.facts}),
         ])  # fmt: skip
         facts = {
             "m": int(values.size), "n": int(load.size), "novelty": worst.value, "novelty_by": outs.words(worst),

@@ -22,7 +22,7 @@ from .choice import (
     stopped,
     unexplained,
 )
-from .families import outside_training
+from .families import not_in_the_set, outside_training
 from .inversion import (
     aliased,
     cut_off,
@@ -60,7 +60,8 @@ __all__ = [
     "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "contradicting",
     "correlated_noise", "cut_off", "diagonal", "disagreement", "drifting", "fighting", "gaps", "gcv_minimum",
     "high_pass", "in_motion", "index_offset", "interpolated", "inverse_crime", "lost_channels", "memory", "mixed_kinds",
-    "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_testable",
+    "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_in_the_set",
+    "not_testable",
     "not_told", "not_verified", "null_space", "outside_training", "over_smoothed", "overridden", "parameter", "pulling",
     "recoverable", "refined", "resolution", "resultant_only", "stopped", "unexplained", "unfinished",
     "used_for_training", "window_missed",

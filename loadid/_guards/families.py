@@ -427,3 +427,35 @@ def outside_training(name: str, scores: str, value: float, limit: float, alarms:
         Evidence(name, float(value), float(limit)),
         f"{where} unlike the examples that the map was learned from ({why}{scores}): the load is that of the physics",
     )
+
+
+def not_in_the_set(still: Sequence[str], tied: Sequence[str], rank: int, wanted: int) -> list[Flag]:
+    """W616: loads that the examples of a learned map do not tell apart; none where they tell all.
+
+    Parameters
+    ----------
+    still : sequence of str
+        Loads that never vary in the examples.
+    tied : sequence of str
+        Loads that vary together alone.
+    rank, wanted : int
+        Directions in which loads vary, and in how many sensors could tell them apart.
+    """
+    said = [f"never varying there, and answered by their mean: {_few(still)}"] if still else []
+    if rank < wanted:
+        said.append(f"acting only together, in {rank} directions of {wanted}: {_few(tied) if tied else 'not named'}")
+    if not said:
+        return []
+    return [
+        Flag(
+            "W616",
+            Evidence("directions of the loads in the examples", rank, wanted + len(still)),
+            f"the examples do not span all loads: {'; '.join(said)}; no band of the map shows what else they could do",
+        )
+    ]
+
+
+def _few(names: Sequence[str]) -> str:
+    """Some names, and how many more there are."""
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+    return ", ".join(names[:6]) + more

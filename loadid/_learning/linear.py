@@ -9,7 +9,7 @@ at the ends of a record by the window's part that lies inside, which the same fa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -29,7 +29,10 @@ ENOUGH = 60  # rows for each feature, beyond which nothing more is read
 RIDGES = np.concatenate([[0.0], np.geomspace(1e-6, 1e-1, 11)])  # relative to the largest singular value
 AS_GOOD = 1.02  # of the smallest error, up to which a window is as good as any
 ENOUGH_RANK = 0.9  # of the loads that act: some at a rim act together with others alone
-SPANNED = 1e-9  # singular value of the outputs, over the largest, from which a direction is in the set
+SPANNED = 1e-6  # singular value of the outputs, each over its norm, from which a direction is in the set: shards keep
+# seven figures, so that loads that are multiples of each other differ by 1e-7
+SPAN = ("still", "tied", "rank", "wanted")  # facts of it
+NAMED = 200  # outputs, up to which those of a direction that is not in the set are named
 ROWS = 20_000  # of features that are held at once
 
 
@@ -41,6 +44,26 @@ class Solved:
     B: Array
     W: Array
     ridge: float
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """What of the outputs the examples span.
+
+    Parameters
+    ----------
+    still : array of int
+        Outputs that never vary.
+    rank, wanted : int
+        Directions in which they vary together, and in how many sensors could tell them apart.
+    tied : array of int
+        Outputs that act in the directions that lack, where they are few enough to be named.
+    """
+
+    still: NDArray[np.int_]
+    rank: int
+    wanted: int
+    tied: NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +79,8 @@ class LinearEngine:
     half : int
         Samples of the window before and after its middle.
     sensors : int
+    span : Span, optional
+        What of the loads the examples span; known where the map was learned.
     """
 
     centre: Solved
@@ -63,6 +88,7 @@ class LinearEngine:
     half: int
     sensors: int
     name: str = "linear"
+    span: Span | None = None
 
     @classmethod
     def learn(cls, lesson: Lesson, progress: Callable[[float, str], None] | None = None) -> Self:
@@ -79,7 +105,7 @@ class LinearEngine:
         say(0.0, "reading examples")
         fitting = Triangle.of(_rows(lesson, lesson.fitting, most, sensors))
         choosing = Triangle.of(_rows(lesson, lesson.choosing, most, sensors))
-        require_span(fitting, sensors)
+        span = require_span(fitting, sensors)
         say(0.6, "choosing the window" if most else "choosing the ridge")
         half = _shortest(fitting, choosing, most, sensors)
         inside = fitting.only(_columns(most, half, sensors))
@@ -89,7 +115,7 @@ class LinearEngine:
             kept = _part(half, before, after, sensors)
             ends.append(solved(inside.only(kept), None, centre.ridge))
             say(0.7 + 0.3 * len(ends) / (2 * half), "the ends of records")
-        return cls(centre, tuple(ends), half, sensors)
+        return cls(centre, tuple(ends), half, sensors, span=span)
 
     @property
     def reach(self) -> int:
@@ -173,25 +199,49 @@ def windows(record: Array, half: int) -> Iterator[tuple[slice, Array]]:
         yield slice(half + start, half + start + len(part)), part.reshape(len(part), width * columns)
 
 
-def require_span(examples: Triangle, sensors: int) -> None:
-    """Nothing, if the loads of the examples vary in as many directions as the sensors could tell apart.
+def require_span(examples: Triangle, sensors: int) -> Span:
+    """What the examples span, if their loads vary in about as many directions as the sensors could tell apart.
 
     Raises
     ------
     InputError
         They do not.
     """
-    targets = examples.targets
-    vary = int(np.count_nonzero(np.linalg.norm(targets, axis=0) > SPANNED * np.linalg.norm(targets)))
-    s = np.linalg.svd(targets, compute_uv=False)
-    rank = int(np.count_nonzero(s > SPANNED * s[0])) if len(s) and s[0] > 0 else 0
-    wanted = int(np.ceil(ENOUGH_RANK * min(max(vary, 1), sensors)))
-    if rank < wanted or examples.rows <= wanted:
+    span = span_of(examples.targets, sensors)
+    wanted = int(np.ceil(ENOUGH_RANK * span.wanted))
+    if span.rank < wanted or examples.rows <= wanted:
+        vary = examples.targets.shape[1] - len(span.still)
         raise InputError(
             "the training set does not span the loads", where="training",
-            found=f"{examples.rows} examples of rank {rank}", expected=f"rank {wanted} or more: {vary} loads act",
+            found=f"{examples.rows} examples of rank {span.rank}", expected=f"rank {wanted} or more: {vary} loads act",
             hint="draw more examples, with loads that act independently of each other",
         )  # fmt: skip
+    return span
+
+
+def span_of(targets: Array, sensors: int) -> Span:
+    """What a factor of outputs (rows, outputs) spans, each output over its norm."""
+    size = np.linalg.norm(targets, axis=0)
+    acts = size > SPANNED * np.linalg.norm(targets)
+    vary = int(np.count_nonzero(acts))
+    each = targets[:, acts] / size[acts]
+    s = np.linalg.svd(each, compute_uv=False)
+    rank = int(np.count_nonzero(s > SPANNED * s[0])) if vary else 0
+    wanted = min(max(vary, 1), sensors)
+    tied = np.zeros(0, int)
+    if rank < wanted and 0 < vary <= NAMED:
+        lacking = np.linalg.svd(each)[2][rank:]
+        tied = np.flatnonzero(acts)[np.linalg.norm(lacking, axis=0) > 0.1]
+    return Span(np.flatnonzero(~acts), rank, wanted, tied)
+
+
+def span_facts(learned: Any, labels: Sequence[str]) -> dict[str, Any]:
+    """What of the outputs the examples of an engine span, by name: of a network, those of the map below it."""
+    span = getattr(getattr(learned, "linear", learned), "span", None)
+    if span is None:
+        return {}
+    still, tied = ([labels[i] for i in at] for at in (span.still, span.tied))
+    return dict(zip(SPAN, (still, tied, span.rank, span.wanted), strict=True))
 
 
 # -- helpers ----------------------------------------------------------------------------------------------------------

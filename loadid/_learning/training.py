@@ -45,6 +45,8 @@ class Training(Protocol):
     def samples(self) -> int | None: ...
     @property
     def fingerprint(self) -> str: ...
+    @property
+    def model(self) -> str: ...
     def __len__(self) -> int: ...
     def batches(self, size: int) -> Iterator[Any]:
         """Examples, at most `size` at once, in the order of their draws."""
@@ -102,6 +104,19 @@ def require_fit(training: Training, model: Model) -> None:
     """
     require_channels(training.sensors, model.sensors, "sensor", "training")
     require_channels(training.loads, model.loads, "load", "training")
+
+
+def require_model(training: Training, model: Model) -> None:
+    """Nothing, if a training set was drawn for a model, as far as it says.
+
+    Raises
+    ------
+    InputError
+        It was drawn for another one of the same sensors and loads.
+    """
+    if training.model and training.model != model.fingerprint:
+        raise InputError("the training set was drawn for another model", where="training", found=training.model[:12],
+                         expected=model.fingerprint[:12], hint="generate and learn for this model")  # fmt: skip
 
 
 def require_channels(found: Sequence[Channel], own: Sequence[Channel], what: str, where: str) -> None:

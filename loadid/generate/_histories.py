@@ -275,6 +275,11 @@ class HistoryMaker:
         return {"histories": self.declared.plain}
 
     @property
+    def inverse(self) -> str:
+        """Fingerprint of the model of the inverse."""
+        return self.model.fingerprint
+
+    @property
     def models(self) -> tuple[str, ...]:
         """Fingerprints of the model and of its truth."""
         return (self.model.fingerprint, *(one.fingerprint for one in self.truth))

@@ -40,6 +40,8 @@ class SetHead:
     samples : int, optional
     declaration : mapping
         As plain data.
+    model : str
+        Fingerprint of the model of the inverse; empty where it is not known.
     """
 
     fingerprint: str
@@ -52,6 +54,7 @@ class SetHead:
     dt: float | None = None
     samples: int | None = None
     declaration: Mapping[str, Any] = field(default_factory=dict)
+    model: str = ""
 
     @property
     def shards(self) -> int:
@@ -70,6 +73,7 @@ def write_head(folder: Path, head: SetHead) -> None:
         "version": VERSION, "fingerprint": head.fingerprint, "draws": head.draws, "shard": head.shard,
         "seed": head.seed, "sensors": _columns(head.sensors), "loads": _columns(head.loads),
         "kinds": list(head.kinds), "dt": head.dt, "samples": head.samples, "declaration": dict(head.declaration),
+        "model": head.model,
     }  # fmt: skip
     _storage.write(folder / HEAD, tree, KIND)
 

@@ -169,6 +169,11 @@ class TrainingSet:
         return self.head.fingerprint
 
     @property
+    def model(self) -> str:
+        """Fingerprint of the model of the inverse that it was drawn for; empty where it is not known."""
+        return self.head.model
+
+    @property
     def declaration(self) -> Mapping[str, Any]:
         """What was declared, as plain data."""
         return self.head.declaration

@@ -55,7 +55,11 @@ class Drawn:
 
 
 class DrawMaker(Protocol):
-    """What draws: an object that can be pickled, whose draws depend on the numbers it is given alone."""
+    """What draws: an object that can be pickled, whose draws depend on the numbers it is given alone.
+
+    One that has `inverse`, the fingerprint of the model of the inverse, makes sets that no map of another model learns
+    from.
+    """
 
     @property
     def sensors(self) -> tuple[Channel, ...]:
@@ -143,7 +147,7 @@ def head_of(maker: DrawMaker, draws: int, seed: int) -> SetHead:
     mark = digest("training set", VERSION, number, repr(_plain(told)), *maker.models)
     return SetHead(
         mark, integer("draws", draws, where="draws", limit=10**9), SHARD, number, maker.sensors, maker.loads,
-        maker.kinds, maker.dt, maker.samples, told,
+        maker.kinds, maker.dt, maker.samples, told, str(getattr(maker, "inverse", "")),
     )  # fmt: skip
 
 
