@@ -112,10 +112,11 @@ def by_elements(family, y, level):
 
     Of the whitened DOFs: ``gain = U s V^T``, and ``U s^-1`` turns DOFs to as many readings as there are gauges.
     """
-    gain = family.field(y).gain
+    field = family.field(y)
+    gain = field.gain
     U, s, _ = np.linalg.svd(gain, full_matrices=False)
     white = U.T / s[:, None] / level
-    paths = choosing.paths([white @ (gain @ rows) for rows in family.posed.gauges], (white @ gain @ y)[None], None)
+    paths = choosing.paths([white @ (gain @ rows) for rows in family.posed.gauges], (white @ field.values)[None], None)
     chosen = choosing.chosen(paths, None, sigma=1.0, source="stated")
     found = choosing.spread(chosen, [rows[0] for rows in family.posed.loads], 1.0)
     return found.mean[0], np.sqrt(np.sum(found.root**2, axis=1) + found.apart[0] ** 2 + found.hidden[0] ** 2)
