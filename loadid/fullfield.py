@@ -20,16 +20,19 @@ from structures import Structure, units
 from structures._readonly import ReadOnly
 from structures.errors import InputError, finite, one_of, pair, positive, reals
 
+from ._inverse.shape import moving
 from ._inverse.shape.plate import thin_plate
 
-__all__ = ["FieldFrames", "PressureFrames", "read", "virtual_fields"]
+__all__ = ["FieldFrames", "PressureFrames", "acceleration", "read", "virtual_fields"]
 
 Array = NDArray[np.float64]
 QUANTITIES = {"deflection": "displacement", "slopes": "angle"}  # of their units
 AXES = ("yx", "xy")
+FEWEST = 8  # frames that an acceleration is made of
 REACH = 4  # points on either side of which a difference is made
 SMALLEST, LADDER, LARGEST = 7, 1.25, 0.45  # half a window in points, from one to the next, over the shorter side
 CLEAR = 2.0  # stds that two windows may differ by
+SHOWN = 48  # points along each side at which windows are compared
 ROUNDING = 4e-16  # of the largest reading: noise that is always there
 
 
@@ -44,13 +47,17 @@ class FieldFrames(ReadOnly):
     spacing : (dx, dy)
         Of the grid, m.
     acceleration : array, shape (frames, ny, nx), optional
-        m/s^2; without it the plate is at rest.
+        m/s^2.
+    dt : float, optional
+        Step of the frames (s): deflections without their acceleration are then smoothed over time for it. Without
+        either the plate is at rest.
     """
 
     values: Array
     quantity: str
     spacing: tuple[float, float]
     acceleration: Array | None = None
+    dt: float | None = None
 
     def __post_init__(self) -> None:
         one_of("unknown quantity of a field", self.quantity, QUANTITIES, where="FieldFrames")
@@ -64,6 +71,12 @@ class FieldFrames(ReadOnly):
             raise InputError("slopes come in pairs", where="FieldFrames", found=f"shape {values.shape}",
                              expected="(frames, 2, ny, nx): w_x and w_y")  # fmt: skip
         put(self, "values", values)
+        if self.dt is not None:
+            positive("dt", self.dt, where="FieldFrames", unit="s")
+            if self.acceleration is None and (rank == 4 or len(values) < FEWEST):
+                raise InputError("no acceleration follows from these frames", where="FieldFrames",
+                                 found=f"{len(values)} frames of {self.quantity}",
+                                 expected=f"at least {FEWEST} frames of deflections, or acceleration=")  # fmt: skip
         if self.acceleration is not None:
             put(self, "acceleration", _frames(self.acceleration, 3, "acceleration"))
             if self.acceleration.shape != (len(values), *values.shape[-2:]):
@@ -80,7 +93,7 @@ class PressureFrames(ReadOnly):
     ----------
     pressure : array
     std : float
-        Of every value, from the noise of the data alone.
+        Of every value, from the noise of the data alone; that of an acceleration made of the frames is in it.
     bias : float
         Rms of what a window of 1.25 times the size changes: how much detail the window smooths away, about.
     window : (int, int)
@@ -98,7 +111,7 @@ class PressureFrames(ReadOnly):
 
 def read(
     source: Any, *, quantity: str, unit: str, spacing: tuple[float, float], axes: str, up: bool,
-    dataset: str | None = None, acceleration: Any = None,
+    dataset: str | None = None, acceleration: Any = None, dt: float | None = None,
 ) -> FieldFrames:  # fmt: skip
     """Frames from an array, or from a data set of an HDF5 file. Units and orientation are asked, never guessed.
 
@@ -120,6 +133,8 @@ def read(
         Of an HDF5 file.
     acceleration : array, optional
         In m/s^2, laid out as the deflection.
+    dt : float, optional
+        Step of the frames (s), for the acceleration of deflections.
 
     Raises
     ------
@@ -134,11 +149,11 @@ def read(
     values = _turned(values, axes, up)
     shape = 2 if quantity == "deflection" else 3
     values = values[None] if values.ndim == shape else values
-    moving = None
+    rate = None
     if acceleration is not None:
-        moving = _turned(reals(acceleration, where="fullfield.read"), axes, up)
-        moving = moving[None] if moving.ndim == 2 else moving
-    return FieldFrames(values, quantity, spacing, moving)
+        rate = _turned(reals(acceleration, where="fullfield.read"), axes, up)
+        rate = rate[None] if rate.ndim == 2 else rate
+    return FieldFrames(values, quantity, spacing, rate, dt)
 
 
 def virtual_fields(
@@ -174,20 +189,53 @@ def virtual_fields(
                          expected=f"at least {int(SMALLEST / LARGEST) + 1} along each side")  # fmt: skip
     level = _noise(field.values) if noise is None else positive("noise", noise, where="virtual_fields")
     level = max(level, ROUNDING * float(np.abs(field.values).max()))
+    pull, loose = field.acceleration, 0.0
+    if pull is None and field.dt is not None:
+        pull, loose = acceleration(field, level)
+    work = _Work(field, pull, thin.rigidity, thin.mass)
     halves = [(window - 1) // 2] if window is not None else _ladder(most)
-    found: list[tuple[int, Array, float]] = []
-    for half in halves:
-        other = max(round(half * dx / dy), SMALLEST)
-        pressure, gain = _pressure(field, thin.rigidity, thin.mass, half, other)
-        if found and any(_apart(pressure, p) > CLEAR * std for _, p, std in found):
+    half, seen, std = 0, np.zeros(0), 0.0
+    smaller: list[tuple[Array, float]] = []
+    for tried in halves:
+        shown, gain = work.shown(tried), level * work.gain(tried)
+        if any(_apart(shown, p) > CLEAR * s for p, s in smaller):
             break
-        found.append((half, pressure, gain * level))
-    half, pressure, std = found[-1]
-    room = (int(min(nx, ny * dy / dx)) - 3) // 2
-    wide = min(int(half * LADDER) + 1, room)
-    wider, _ = _pressure(field, thin.rigidity, thin.mass, wide, max(round(wide * dx / dy), SMALLEST))
-    window_y = 2 * max(round(half * dx / dy), SMALLEST) + 1
-    return PressureFrames(pressure, std, _apart(pressure, wider), (2 * half + 1, window_y), level)
+        half, seen, std = tried, shown, gain
+        smaller.append((shown, gain))
+    wide = min(int(half * LADDER) + 1, (int(min(nx, ny * dy / dx)) - 3) // 2)
+    bias = _apart(seen, work.shown(wide))
+    std = float(np.hypot(std, thin.mass * loose))
+    return PressureFrames(work.pressure(half), std, bias, (2 * half + 1, 2 * work.across(half) + 1), level)
+
+
+def acceleration(field: FieldFrames, noise: float) -> tuple[Array, float]:
+    """Acceleration (frames, ny, nx) of deflections, and its rms std, both in m/s^2.
+
+    The singular directions of the frames above the noise (threshold of M. Gavish, D. L. Donoho, IEEE Trans. Inf. Theory
+    60 (2014) 5040) are smoothed over time, each by its own correlation length. A state-space smoother of a Matern
+    process answers the second derivative; nothing is differenced.
+
+    Parameters
+    ----------
+    field : FieldFrames
+        Deflections, with dt.
+    noise : float
+        Std of the deflections (m).
+    """
+    w = field.values.reshape(len(field.values), -1)
+    assert field.dt is not None
+    U, s, V = np.linalg.svd(w, full_matrices=False)
+    ratio = min(w.shape) / max(w.shape)
+    least = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio * ratio + 14 * ratio + 1)))
+    heard = np.flatnonzero(s > noise * least * np.sqrt(max(w.shape)))
+    found, variance = np.zeros(w.shape), 0.0
+    for k in heard:
+        series = U[:, k : k + 1] * s[k] / noise
+        size = float(np.sqrt(np.mean(series**2)))
+        motion = moving.smoothed(series, np.ones(1), size, field.dt)
+        found += noise * motion.mean[:, :, 2] * V[k]
+        variance += noise**2 * float(np.mean(motion.covariance[:, 0, 2, 2])) / w.shape[1]
+    return found.reshape(field.values.shape), float(np.sqrt(variance))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
@@ -253,25 +301,70 @@ def _bump(half: int, step: float, order: int) -> Array:
     return padded if order == 0 else np.asarray(np.convolve(padded, _stencil(order)[::-1], "same") / step**order)
 
 
-def _pressure(field: FieldFrames, rigidity: float, mass: float, half: int, other: int) -> tuple[Array, float]:
-    """Pressure (frames, ny, nx), and its std per std of the data."""
-    dx, dy = field.spacing
-    along, across = ([_bump(h, d, k) for k in range(5)] for h, d in ((half, dx), (other, dy)))
-    area = float(np.sum(along[0]) * np.sum(across[0]))
-    if field.quantity == "deflection":
-        terms = [[(along[4], across[0]), (2 * along[2], across[2]), (along[0], across[4])]]
-        fields = [field.values]
-    else:
-        terms = [[(-along[3], across[0]), (-along[1], across[2])], [(-along[2], across[1]), (-along[0], across[3])]]
-        fields = [field.values[:, 0], field.values[:, 1]]
-    work = sum(rigidity * _correlated(w, kx, ky) for w, parts in zip(fields, terms, strict=True) for kx, ky in parts)
-    kernels = [sum(np.outer(ky, kx) for kx, ky in parts) for parts in terms]
-    gain = rigidity * float(np.sqrt(sum(np.sum(np.square(kernel)) for kernel in kernels))) / area
-    if field.acceleration is not None:
-        work = work + mass * _correlated(field.acceleration, along[0], across[0])
-    pressure = np.full((len(field.values), *field.values.shape[-2:]), np.nan)
-    pressure[:, other : pressure.shape[1] - other, half : pressure.shape[2] - half] = np.asarray(work) / area
-    return pressure, gain
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Virtual work of a field over windows of any size."""
+
+    field: FieldFrames
+    pull: Array | None
+    rigidity: float
+    mass: float
+
+    def across(self, half: int) -> int:
+        """Half a window along y."""
+        dx, dy = self.field.spacing
+        return max(round(half * dx / dy), SMALLEST)
+
+    def terms(self, half: int) -> tuple[list[tuple[Array, Array, Array]], float]:
+        """Fields with their kernels along x and y, over the area of the virtual deflection, and the gain of noise."""
+        dx, dy = self.field.spacing
+        x, y = ([_bump(h, d, k) for k in range(5)] for h, d in ((half, dx), (self.across(half), dy)))
+        size = self.rigidity / float(np.sum(x[0]) * np.sum(y[0]))
+        if self.field.quantity == "deflection":
+            parts = [[(x[4], y[0]), (2 * x[2], y[2]), (x[0], y[4])]]
+            fields = [self.field.values]
+        else:
+            parts = [[(-x[3], y[0]), (-x[1], y[2])], [(-x[2], y[1]), (-x[0], y[3])]]
+            fields = [self.field.values[:, 0], self.field.values[:, 1]]
+        kernels = [sum(np.outer(ky, kx) for kx, ky in part) for part in parts]
+        gain = size * float(np.sqrt(sum(np.sum(np.square(kernel)) for kernel in kernels)))
+        out = [(w, size * kx, ky) for w, part in zip(fields, parts, strict=True) for kx, ky in part]
+        if self.pull is not None:
+            out.append((self.pull, x[0] * (size * self.mass / self.rigidity), y[0]))
+        return out, gain
+
+    def gain(self, half: int) -> float:
+        """Std of the pressure per std of the data."""
+        return self.terms(half)[1]
+
+    def pressure(self, half: int) -> Array:
+        """Pressure (frames, ny, nx), NaN in the rim."""
+        found = np.full((len(self.field.values), *self.field.values.shape[-2:]), np.nan)
+        other = self.across(half)
+        inside = found[:, other : found.shape[1] - other, half : found.shape[2] - half]
+        inside[:] = sum(_correlated(w, kx, ky) for w, kx, ky in self.terms(half)[0])
+        return found
+
+    def shown(self, half: int) -> Array:
+        """The same at no more than `SHOWN` points along each side, by products of matrices."""
+        ny, nx = self.field.values.shape[-2:]
+        rows, columns = (np.unique(np.linspace(0, n - 1, min(SHOWN, n)).round().astype(int)) for n in (ny, nx))
+        found = np.full((len(self.field.values), len(rows), len(columns)), np.nan)
+        i, j = (np.flatnonzero((at >= h) & (at < n - h))
+                for at, h, n in ((rows, self.across(half), ny), (columns, half, nx)))  # fmt: skip
+        found[:, i[:, None], j] = sum(
+            _windows(rows[i], ky, ny) @ w @ _windows(columns[j], kx, nx).T for w, kx, ky in self.terms(half)[0]
+        )
+        return found
+
+
+def _windows(at: NDArray[np.intp], kernel: Array, count: int) -> Array:
+    """Rows (points, count) that hold a kernel about each place."""
+    out = np.zeros((len(at), count))
+    half = len(kernel) // 2
+    for row, middle in zip(out, at, strict=True):
+        row[middle - half : middle + half + 1] = kernel
+    return out
 
 
 def _correlated(w: Array, kx: Array, ky: Array) -> Array:
@@ -284,4 +377,5 @@ def _correlated(w: Array, kx: Array, ky: Array) -> Array:
 
 def _apart(one: Array, other: Array) -> float:
     """Rms difference where both are."""
-    return float(np.sqrt(np.nanmean((one - other) ** 2)))
+    both = np.isfinite(one) & np.isfinite(other)
+    return float(np.sqrt(np.mean((one[both] - other[both]) ** 2))) if both.any() else 0.0

@@ -36,7 +36,7 @@ SMALLEST, STEP = 1.0, 2**0.25  # shape parameter, times the longer side; from on
 FINEST = 0.75  # times the distance of the gauges: functions that are narrower, the gauges do not tell from noise
 LOST = 0.3  # share of the data (rms) that the finest field leaves, above which it cannot hold them
 EXCESS = 5.0  # the same over noise that is known
-PRIOR = "a load as likely at every wavelength down to the width of the narrowest function, and none below; edges held"
+PRIOR = "a load whose second derivatives are as likely at every wavelength down to the narrowest function; edges held"
 
 
 class ShapeSensing:
@@ -122,16 +122,18 @@ class ShapeSensing:
         self._sensed: InverseFEM | None = None
         self._posed: _Posed | None = None
 
-    def estimate(self, found: Any, dt: float | None = None) -> LoadEstimate:
+    def estimate(self, found: Any, dt: float | None = None, *, still: bool = False) -> LoadEstimate:
         """The pressure behind static readings, or over a record.
 
         Parameters
         ----------
         found : array (gauges,) or (frames, gauges), mapping of label to reading, or Record
-            In m/m (and m). A Record, or an array with `dt`, is a history: the inertia of the plate is in it. A Record
-            of static readings is passed as ``record.values``.
+            In m/m (and m). A Record, or an array with `dt`, is a history: the inertia of the plate is in it.
         dt : float, optional
             Step of a bare array that is a history (s).
+        still : bool
+            The plate is at rest in every frame of a Record: no inertia, as in `StaticInversion`. A Record of one sample
+            is so without it.
 
         Returns
         -------
@@ -143,7 +145,8 @@ class ShapeSensing:
         InputError
             Readings that do not fit the gauges, or a field that the functions cannot hold.
         """
-        if dt is not None or isinstance(found, Record):
+        history = isinstance(found, Record) and not still and len(found.values) > 1
+        if dt is not None or history:
             return self._over_time(found, dt)
         given = readings(found, self.model, None)
         noise = noises.steady(self.noise, self.model, given)

@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
-from loadid import InputError
-from loadid.fullfield import FieldFrames, read, virtual_fields
+from loadid import InputError, fullfield
+from loadid.fullfield import FieldFrames, acceleration, read, virtual_fields
 from structures import plates
 
 SIDE, POINTS, PEAK = 0.3, 61, 1e5
@@ -71,6 +71,35 @@ def test_a_blow_in_noise(blow):
     assert np.nanstd(found.pressure[0]) < 3 * found.std
 
 
+def test_the_acceleration_from_the_frames():
+    """A mode that swings at 200 Hz, 1 % noise: the inertia, five times the stiffness here, comes from the frames."""
+    x, t, omega = np.linspace(0, 1, POINTS), 2.5e-4 * np.arange(40), 2 * np.pi * 200
+    shape = np.outer(np.sin(np.pi * x), np.sin(np.pi * x))
+    w = 1e-4 * np.cos(omega * t)[:, None, None] * shape
+    spacing = (SIDE / (POINTS - 1),) * 2
+    data = noisy(w, 0.01)
+    found = acceleration(FieldFrames(data, "deflection", spacing, dt=2.5e-4), 1e-6)[0]
+    inner, true = slice(4, -4), -(omega**2) * w
+    assert np.linalg.norm((found - true)[inner]) < 0.02 * np.linalg.norm(true[inner])
+    given, made = (virtual_fields(FieldFrames(data, "deflection", spacing, **more), PLATE)
+                   for more in ({"acceleration": true}, {"dt": 2.5e-4}))  # fmt: skip
+    middle = given.pressure[inner, POINTS // 2, POINTS // 2]
+    assert np.abs(made.pressure[inner, POINTS // 2, POINTS // 2] - middle).max() < 0.05 * np.abs(middle).max()
+
+
+def test_a_few_points_show_the_whole():
+    """What the rule compares are points of the answer itself."""
+    w = np.random.default_rng(2).standard_normal((1, 90, 70))
+    for quantity, values in (("deflection", w), ("slopes", np.stack([w, 2 * w], axis=1))):
+        field = FieldFrames(values, quantity, (1e-3, 2e-3), 3 * w)
+        work = fullfield._Work(field, field.acceleration, 2.0, 5.0)
+        rows, columns = (np.unique(np.linspace(0, n - 1, fullfield.SHOWN).round().astype(int)) for n in (90, 70))
+        whole = work.pressure(16)[:, rows[:, None], columns]
+        shown = work.shown(16)
+        assert np.array_equal(np.isnan(whole), np.isnan(shown))
+        assert np.nanmax(np.abs(whole - shown)) < 1e-9 * np.nanmax(np.abs(whole))
+
+
 def test_detail_needs_a_smaller_window():
     """A pressure of six waves: the rule takes a window that shows it, and a quiet field a smaller one than a noisy."""
     x = np.linspace(0, 1, 121)
@@ -116,5 +145,7 @@ def test_what_is_refused(tmp_path):
     (tmp_path / "no.h5").write_bytes(b"nothing")
     with pytest.raises(InputError, match="no HDF5"):
         read(tmp_path / "no.h5", dataset="w", **told)
+    with pytest.raises(InputError, match="no acceleration follows"):
+        FieldFrames(flat, "deflection", (1e-3, 1e-3), dt=1e-3)
     with pytest.raises(InputError, match="different grids"):
         FieldFrames(flat, "deflection", (1e-3, 1e-3), np.zeros((1, 3, 3)))

@@ -2,9 +2,11 @@
 
 ``exp(-e^2 r^2)`` is a product of one function of x and one of y, whose derivatives are Hermite polynomials times
 itself. One shape parameter e alone expects a load in one octave of wavelengths: the fourth derivative of a Gaussian has
-none that are long. Functions of every octave, from the plate down to 1 / e, with weights ``e_k^-2`` times the root of
-the area that each stands for, make deflections whose load is as likely at every wavelength down to 1 / e, and none
-below. Their coefficients, independent and of unit variance, are what a ridge holds small.
+none that are long. Functions of every octave, from the plate down to 1 / e, with weights ``e_k^-4`` times the root of
+the area that each stands for, make deflections whose load has a power that falls by the fourth power of its wavenumber
+down to 1 / e, as that of a thin-plate spline does (the penalty of its second derivatives), and faster beyond. With
+``e_k^-2`` the power is even down to 1 / e: a cliff that smooth loads do not have, and bands that are too narrow. Their
+coefficients, independent and of unit variance, are what a ridge holds small.
 """
 
 from __future__ import annotations
@@ -18,12 +20,13 @@ from numpy.typing import NDArray
 from structures._readonly import ReadOnly
 
 Array = NDArray[np.float64]
+FALL = 4  # of the weights: -2 of a deflection whose load is even, -2 of one whose second derivatives are
 WIDEST = 0.35  # smallest shape parameter, times the longer side
 OCTAVE = np.sqrt(2)  # from one shape parameter to the next
 SPACING = 0.55  # of the centres, times the shape parameter
 MARGIN = 0.8  # of the centres beyond the edges, over the shape parameter
 RIM = 33  # points on an edge at which it is held
-HELD = 1e-9  # of the deflection that the functions expect without edges: what an edge may move
+HELD = 1e-10  # of the deflection that the functions expect without edges: what an edge may move
 
 
 def gaussian(x: Array, centres: Array, shape: float, order: int = 0) -> Array:
@@ -80,7 +83,7 @@ class RadialBasis(ReadOnly):
             count = int(np.ceil((side + 2 * margin) / step)) + 1
             lines.append(np.linspace(-margin, side + margin, count))
             widths.append((side + 2 * margin) / (count - 1))
-        return _Scale(shape, lines[0], lines[1], float(np.sqrt(widths[0] * widths[1]) / shape**2))
+        return _Scale(shape, lines[0], lines[1], float(np.sqrt(widths[0] * widths[1]) / shape**FALL))
 
     def bare(self, x: Array, y: Array, dx: int = 0, dy: int = 0) -> Array:
         """Rows (points, functions) of a derivative of the functions before the edges hold them."""
