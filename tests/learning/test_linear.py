@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from loadid._learning.calibration import calibrated
 from loadid._learning.linear import LinearEngine, solved, windows
 from loadid._learning.training import Lesson
 from loadid._learning.triangle import Triangle
@@ -104,3 +105,14 @@ def test_examples_that_do_not_span_the_loads_are_refused(flaw):
     parts = (whole, whole, whole)
     with pytest.raises(InputError, match="does not span the loads"):
         LinearEngine.learn(Lesson(*parts, scale=np.full(8, 0.05)))
+
+
+def test_an_output_that_no_example_loads_spoils_no_factor():
+    """Its std is 0 and its errors are not: the factors stay numbers, for each output and for a group."""
+    rng = np.random.default_rng(5)
+    for draws in (30, 400):
+        errors, std = rng.standard_normal((draws, 3)), np.tile([1.0, 1.0, 0.0], (draws, 1))
+        factors = calibrated(errors, std, np.zeros(3, int), 0.95, None).inside
+        assert np.all(np.isfinite(factors)) and np.array_equal((std * factors)[:, 2], np.zeros(draws))
+        if draws == 400:
+            assert np.all(np.abs(factors[:2] - 1) < 0.2)
