@@ -37,10 +37,12 @@ FURTHEST = np.array([0.4, 0.04, 0.12])  # steps of log E, nu, log thickness
 BEGIN, RADIUS = 0.4, 0.7  # radius of a press over the thickness to begin with, and the std of its logarithm
 HIGHEST = 0.4995
 LOOSE = 0.35  # std of the tractions under a press about the bump, over their mean
+BEYOND = 1.4  # radii of the bump within which they may: how large a press is is hardly told
 LEAST, MOST = 0.12, 1.2  # radius of a press over the thickness
-ROUNDS, ENOUGH = 12, 0.1  # of Gauss-Newton; step over std at which it ends
-COARSER = 1.3  # pitch of the mesh whose answers tell the error of the mesh
-FINER = 0.5  # std of the share of that error that is there, about all of it
+TURNS, ROUNDS = 3, 6  # weights and mesh errors are found anew; steps of Gauss-Newton by each of them
+ENOUGH = 0.1  # step over std at which they end
+REFINED = 1.5  # times as fine is the mesh whose answers tell the error of the mesh
+WHOLE, FINER = 1.2, 0.4  # of what both differ by, that the error of the mesh is, and the std of this share
 SHARING = 4  # readings that share an error of the model
 TOLD = 0.7  # of the std declared: what is left of it where presses tell something
 
@@ -140,10 +142,11 @@ def in_situ(
 
     Notes
     -----
-    What the mesh is wrong by is estimated by the answers of a coarser one (extrapolated for an error of second order);
-    the presses say which share of it is there, 1 +- 0.5 before they are asked, and what the material answers to the
-    whole of it is added to the std, which so is that of the gel and not only of the noise. Not for pads whose mesh is
-    from a file. E and thickness usually hang together: ``covariance`` holds it.
+    What the mesh is wrong by is told by one that is 1.5 times as fine: 1.2 +- 0.4 times what both differ by is taken
+    off, and what the material answers to that difference is added to the std, which so is that of the gel and not only
+    of the noise. Not for pads whose mesh is from a file. What the weights of the readings, which go with
+    the contacts that were found, still change is in it too. E and thickness usually hang together: ``covariance`` holds
+    it.
     """
     F = _forces(forces, len(frames))
     kept = len(F) - (len(F) // 4 if held is None else int(held))
@@ -159,7 +162,7 @@ def in_situ(
     # what is left of an error of the model is shared by neighbours: it counts as fewer data
     scale = float(np.sqrt(1 + SHARING * max(misfit**2 - 1, 0.0)))
     mesh = fit.of_mesh(found, scale)
-    covariance = fit.solved(found, scale)[1][:3, :3] + np.outer(mesh, mesh)
+    covariance = fit.solved(found, scale)[1][:3, :3] + np.outer(mesh, mesh) + np.outer(fit.unsteady, fit.unsteady)
     most = fit.std / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     covariance *= np.outer(np.minimum(most, 1.0), np.minimum(most, 1.0))
     std = Tolerances(*np.sqrt(np.diag(covariance))[[0, 1, 2]])
@@ -203,11 +206,13 @@ class _Forward:
     pad: Pad
 
     @cached_property
-    def rows(self) -> list[tuple[Any, Callable[[Any], Any]]]:
-        """How points move with the surface, and what of that is read: markers, and windows of depth."""
+    def transfer(self) -> Array:
+        """Readings (m, 3 P) of unit nodal forces: of markers, and of windows of depth."""
         markers, depth = self.sensor.markers, self.sensor.depth
-        parts: list[tuple[Any, Callable[[Any], Any]]] = [(self.pad.from_surface(markers.points), markers.rows)]
-        return parts if depth is None else [*parts, (self.pad.from_surface(depth.samples), depth.rows)]
+        rows = [markers.rows(self.pad.from_surface(markers.points))]
+        if depth is not None:
+            rows.append(depth.rows(self.pad.from_surface(depth.samples)))
+        return np.vstack([np.asarray(r @ self.pad.compliance) for r in rows])
 
     def forces(self, contact: Array, force: Array) -> Array:
         """Nodal forces (P, 3) of the bump of a force (3,)."""
@@ -218,8 +223,15 @@ class _Forward:
 
     def readings(self, forces: Array) -> Array:
         """Readings (m, n) under nodal forces (3 P, n)."""
-        U = self.pad.compliance @ forces
-        return np.vstack([pick(rows @ U) for rows, pick in self.rows])
+        return np.asarray(self.transfer @ forces)
+
+    def moved(self, contact: Array, force: Array) -> Array:
+        """Readings (m,) under the bump of a force, by one solve: the pad is not condensed."""
+        markers, depth, U = self.sensor.markers, self.sensor.depth, self.pad.displacements(self.forces(contact, force))
+        rows = [markers.rows(self.pad.from_surface(markers.points) @ U.reshape(-1, 1))]
+        if depth is not None:
+            rows.append(depth.rows(self.pad.from_surface(depth.samples) @ U.reshape(-1, 1)))
+        return np.concatenate(rows)[:, 0]
 
     def press(self, contact: Array) -> Array:
         """Readings (m, 3) under the bump of unit forces along X, Y, Z."""
@@ -263,7 +275,7 @@ class _Presses:
         """Readings that are there, and the lower factor of the covariance of what the bump does not explain."""
         seen = np.isfinite(self.y[k])
         known = self.spread * forward.press(contact)[seen]
-        loose = forward.loose(contact, self.forces[k])[seen]
+        loose = forward.loose(contact * (1, 1, BEYOND), self.forces[k])[seen]
         C = np.diag(self.noise[seen] ** 2) + known @ known.T + loose @ loose.T
         return seen, cholesky(C, lower=True, check_finite=False)
 
@@ -291,16 +303,28 @@ class _Step:
     slopes: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Of one press: readings that are there, factor of the covariance of their residuals, and error of the mesh."""
+
+    seen: Array
+    factor: Array
+    mesh: Array
+
+
 class _Fit:
-    """Gauss-Newton over log E, nu, log thickness, place and log radius of every press, and the error of the mesh."""
+    """Gauss-Newton over log E, nu, log thickness, place and log radius of every press, and the error of the mesh.
+
+    Weights and the error of the mesh, which go with the contacts, are held while it settles, and then found anew.
+    """
 
     def __init__(self, sensor: MultilayerPad, prior: Tolerances, presses: _Presses) -> None:
         self.sensor, self.presses, pad = sensor, presses, sensor.pad
         self.start = np.array([np.log(pad.E), pad.nu, np.log(pad.thickness)])
         self.std = np.array([prior.E, prior.nu, prior.thickness])
-        self.free = np.r_[self.std > 0, np.ones(3 * len(presses.y), bool), coarser(pad) is not None]
-        self.at = self.start.copy()
-        self.finer = 1.0 if coarser(pad) is not None else 0.0
+        self.free = np.r_[self.std > 0, np.ones(3 * len(presses.y), bool), finer(pad) is not None]
+        self.at, self.share = self.start.copy(), WHOLE
+        self.unsteady = np.zeros(3)  # what other weights made of the material
         self.contacts = presses.placed(_Forward(sensor, pad), pad.thickness)
         self.first_radius = np.log(self.contacts[:, 2])
 
@@ -308,27 +332,35 @@ class _Fit:
         """The model at log E, nu, log thickness, on a mesh of the same topology."""
         return _Forward(self.sensor, changed(self.sensor.pad, at))
 
-    def step(self) -> _Step:
+    def weights(self) -> list[_Weights]:
+        """Of every press, here."""
+        base = self.forward(self.at)
+        other = finer(base.pad)
+        fine = None if other is None else _Forward(self.sensor, other)
+        out = []
+        for k, (contact, force) in enumerate(zip(self.contacts, self.presses.forces, strict=True)):
+            here = base.press(contact) @ force
+            mesh = np.zeros(len(here)) if fine is None else fine.moved(contact, force) - here
+            out.append(_Weights(*self.presses.whitener(base, k, contact), mesh))
+        return out
+
+    def step(self, weights: Sequence[_Weights]) -> _Step:
         """Residuals and sensitivities here."""
         base = self.forward(self.at)
         others = [self.forward(self.at + d) for d in np.diag(self._steps())[1:]]
         count = len(self.presses.y)
-        other_mesh = coarser(base.pad)
-        coarse = None if other_mesh is None else _Forward(self.sensor, other_mesh)
         rests, slopes = [], []
-        for k, (contact, force) in enumerate(zip(self.contacts, self.presses.forces, strict=True)):
+        for k, (contact, force, w) in enumerate(zip(self.contacts, self.presses.forces, weights, strict=True)):
             here = base.press(contact) @ force
-            seen, L = self.presses.whitener(base, k, contact)
             columns = np.zeros((len(here), 4 + 3 * count))
             columns[:, 0] = -here
             for i, (other, d) in enumerate(zip(others, self._steps()[1:], strict=True), 1):
                 columns[:, i] = (other.press(contact) @ force - here) / d
             for j, moved in enumerate(_beside(contact)):
                 columns[:, 3 + 3 * k + j] = (base.press(moved) @ force - here) / BESIDE[j]
-            if coarse is not None:
-                columns[:, -1] = (here - coarse.press(contact) @ force) / (COARSER**2 - 1)
-            rest = self.presses.y[k] - here - self.finer * columns[:, -1]
-            white = solve_triangular(L, np.column_stack([rest, columns])[seen], lower=True)
+            columns[:, -1] = w.mesh
+            rest = self.presses.y[k] - here - self.share * w.mesh
+            white = solve_triangular(w.factor, np.column_stack([rest, columns])[w.seen], lower=True)
             rests.append(white[:, 0])
             slopes.append(white[:, 1:])
         return _Step(np.concatenate(rests), np.concatenate(slopes))
@@ -342,7 +374,7 @@ class _Fit:
         count = len(self.contacts)
         std = np.r_[np.where(self.std > 0, self.std, 1.0), np.tile([np.inf, np.inf, RADIUS], count), FINER]
         grown = np.column_stack([np.zeros((count, 2)), np.log(self.contacts[:, 2]) - self.first_radius])
-        now = np.r_[self.at - self.start, grown.ravel(), self.finer - 1.0]
+        now = np.r_[self.at - self.start, grown.ravel(), self.share - WHOLE]
         return -now / std, np.diag(1 / std)
 
     def solved(self, found: _Step, scale: float) -> tuple[Array, Array]:
@@ -360,12 +392,18 @@ class _Fit:
 
     def run(self) -> tuple[_Step, float]:
         """To the minimum: residuals and sensitivities there, and the rms of what is left."""
-        for last in range(ROUNDS, 0, -1):
-            found = self.step()
-            step, covariance = self.solved(found, 1.0)
-            if last == 1 or np.all(np.abs(step[:3]) <= ENOUGH * np.sqrt(np.diag(covariance)[:3])):
+        for _ in range(TURNS):
+            before, weights = self.at, self.weights()
+            for _ in range(ROUNDS):
+                found = self.step(weights)
+                step, covariance = self.solved(found, 1.0)
+                small = ENOUGH * np.sqrt(np.diag(covariance)[:3])
+                if np.all(np.abs(step[:3]) <= small):
+                    break
+                self._go(step)
+            self.unsteady = self.at - before
+            if np.all(np.abs(self.unsteady) <= small):
                 break
-            self._go(step)
         spare = max(len(found.rest) - int(self.free.sum()), 1)
         return found, float(np.sqrt(np.sum(found.rest**2) / spare))
 
@@ -374,14 +412,14 @@ class _Fit:
         self.at = self.at + step[:3] / max(1.0, float(np.abs(step[:3] / FURTHEST).max()))
         self.at[1] = np.clip(self.at[1], 0.01, HIGHEST)
         moved = step[3:-1].reshape(-1, 3)
-        self.finer += float(step[-1])
+        self.share += float(step[-1])
         thickness = float(np.exp(self.at[2]))
         self.contacts[:, :2] += np.clip(moved[:, :2], -0.2 * thickness, 0.2 * thickness)
         grown = np.exp(np.clip(moved[:, 2], -0.4, 0.4))
         self.contacts[:, 2] = np.clip(self.contacts[:, 2] * grown, LEAST * thickness, MOST * thickness)
 
     def of_mesh(self, found: _Step, scale: float) -> Array:
-        """By how much log E, nu, log thickness answer to the whole error of the mesh (3,)."""
+        """By how much log E, nu, log thickness answer to what both meshes differ by (3,)."""
         own = self.free.copy()
         own[-1] = False
         A = np.concatenate([found.slopes / scale, self.prior()[1]])[:, own]
@@ -406,9 +444,9 @@ def changed(pad: Pad, at: Array) -> Pad:
     return replace(pad, E=E, nu=nu, thickness=pad.thickness * float(np.exp(at[2] - np.log(pad.thickness))))
 
 
-def coarser(pad: Pad) -> Pad | None:
-    """The same pad with a coarser mesh; None where the mesh is from a file, or its cells are named one by one."""
+def finer(pad: Pad) -> Pad | None:
+    """The same pad with a finer mesh; None where the mesh is from a file, or its cells are named one by one."""
     if pad.mesh is not None or pad.elements is None or getattr(pad.outline, "cells", None) is not None:
         return None
-    nx, ny = (max(1, round(n / COARSER)) for n in pad.elements)
-    return replace(pad, elements=(nx, ny), layers=max(1, round(pad.layers / COARSER)), allow=(*pad.allow, "W115"))
+    nx, ny = (round(n * REFINED) for n in pad.elements)
+    return replace(pad, elements=(nx, ny), layers=max(pad.layers + 1, round(pad.layers * REFINED)), counts=None)

@@ -10,14 +10,14 @@ from typing import Any
 
 from loadid import Penalty
 
-from . import demo, faults, frequency, grades, hammer, impacts, long, mistakes, static, tactile, tracking
+from . import demo, faults, frequency, grades, hammer, impacts, insitu, long, mistakes, static, tactile, tracking
 from .scores import counts, table
 
 CAMPAIGNS = {
     "static": static, "impacts": impacts, "hammer": hammer, "demo": demo, "long": long, "frequency": frequency,
-    "tracking": tracking, "tactile": tactile,
+    "tracking": tracking, "tactile": tactile, "insitu": insitu,
 }  # fmt: skip
-TABLES = {"frequency": frequency.table, "tracking": tracking.table, "tactile": tactile.table}
+TABLES = {"frequency": frequency.table, "tracking": tracking.table, "tactile": tactile.table, "insitu": insitu.table}
 
 
 def main() -> None:
