@@ -345,8 +345,11 @@ def taken(hidden: Array, resultant: Array, covariance: Array) -> Flag | None:
     )  # fmt: skip
 
 
-def unseen(share: float) -> Flag | None:
-    """W608: of a plain press as wide as the pad is thick only a share of its force would be found, without noise."""
+def unseen(share: float, layer: bool = False) -> Flag | None:
+    """W608: of a plain press as wide as the pad is thick only a share of its force would be found, without noise.
+
+    Of a `layer` that is read by motion in its plane alone the thickness is not told either.
+    """
     if share >= SEEN:
         return None
     return Flag(
@@ -354,7 +357,8 @@ def unseen(share: float) -> Flag | None:
         Evidence("share of a normal force that would be found", share, SEEN),
         f"of a press as wide as the pad is thick {100 * share:.0f} % of the normal force would be found: the readings "
         "or the penalty hide the rest, and no band shows it",
-        "measure the normal motion (a depth map, markers in depth), or take a smaller lambda",
+        "measure the normal motion (a depth map, markers in depth), or take a smaller lambda"
+        + ("; state how well the thickness is known (tolerances=), which motion in the plane does not tell" * layer),
     )
 
 

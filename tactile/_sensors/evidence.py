@@ -206,7 +206,7 @@ class DiscModel:
     def posterior(self, z: Array, at: Array, changes: Array) -> tuple[Array, Array]:
         """Mean (J * 3 * q,) and covariance of the modes, by readings (m,), with errors (m, t) of std one beside them.
 
-        Errors that are no motion by loads in the discs count with what the directions do not hold of them.
+        One frame does not tell the errors: what a load would make good of them is in the covariance, whole.
         """
         made = np.vstack([one.reshape(-1, len(self.rest)) for one in self._made(at)])
         factor, told = self._factor(at), self.told(z)
@@ -214,15 +214,8 @@ class DiscModel:
                              zip(at.reshape(-1, 3), self.X, strict=True)))  # fmt: skip
         alpha = self._solve(factor, told)
         covariance = prior - made @ self._solve(factor, made.T)
-        if not changes.shape[1]:
-            return made @ alpha, covariance
-        on = self.told(changes)
-        within = self._solve(factor, on)
-        beyond = changes.T  # rows: the errors are unknowns whose own covariance is one
-        known = np.eye(len(beyond)) + beyond @ beyond.T - on.T @ (on - within)
-        gained = np.linalg.solve(known, changes.T @ z - on.T @ (told - alpha))
-        felt = made @ within
-        return made @ (alpha - within @ gained), covariance + felt @ np.linalg.solve(known, felt.T)
+        felt = made @ self._solve(factor, self.told(changes))
+        return made @ alpha, covariance + felt @ felt.T
 
     @cached_property
     def _bounds(self) -> tuple[Array, Array]:

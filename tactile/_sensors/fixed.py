@@ -287,7 +287,7 @@ class QuickMap:
             z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
             found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction, self.normals)
         load = about.load if found is None else found.load
-        flags = [guards.unseen(self.recovery)]
+        flags = [guards.unseen(self.recovery, layer=True)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
 
     def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Unpack
@@ -19,6 +20,7 @@ from loadid._results.facts import provenance
 from loadid.settings import Noise
 from structures import bases
 from structures._flags import Flag, codes
+from structures._threads import one_thread
 from structures.errors import InputError
 
 from .. import _guards as guards
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 
 
 SCALED = 6  # maps at other lambdas that are kept
+SHARED = 3000  # loads from which a second thread gains anything
 AROUND = 0.2  # thicknesses about a node within which a load is taken to be of one size
 
 
@@ -209,9 +212,10 @@ class LinearSensor(MarkedSensor):
     def explained(self, y: Array, flags: Sequence[Flag | None] = (), wrench: Wrench | None = None) -> ForceMap:
         """Force map of readings (m,), NaN where one is lost, with what was found on the way to them."""
         found = list(flags)
-        if self.frozen:
-            return self._mapped(self._scaled_map(y), y, wrench, found)
-        return self._thorough(y, wrench, found) if self.problem is None else self._chosen(y, wrench, found)
+        with alone(len(self.kept)):
+            if self.frozen:
+                return self._mapped(self._scaled_map(y), y, wrench, found)
+            return self._thorough(y, wrench, found) if self.problem is None else self._chosen(y, wrench, found)
 
     def answered(
         self, load: Array, std: Array, wrench: Array, facts: ForceFacts, *, flags: Sequence[Flag | None],
@@ -625,7 +629,7 @@ class MultilayerPad(LinearSensor):
         contact prior.
     tolerances : Tolerances
         How well modulus, Poisson's ratio and thickness of the pad are known; in the band under a contact prior, as is
-        the error of the mesh.
+        the error of the mesh. One frame does not tell them, and markers in the plane flag no wrong thickness.
     penalty, choice, noise_source, contact, allow
         See `tactile._sensors.marked.InversionSettings`; the penalty is a `ContactPrior` where none is given.
 
@@ -657,17 +661,23 @@ class MultilayerPad(LinearSensor):
         mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
         basis = bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z"))
         given = observed(markers, eye)
-        super().__init__(
-            PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags,
-                        {"pad": repr(pad), "markers": len(given)}, partial(errors, pad, tolerances, mass)),
-            given, eye=eye, depth=None if depth is None else windows(pad, depth, depth_width), image=image, **settings,
-        )  # fmt: skip
+        about = {"pad": repr(pad), "markers": len(given)}
+        body = PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags, about,
+                           partial(errors, pad, tolerances, mass))  # fmt: skip
+        deep = None if depth is None else windows(pad, depth, depth_width)
+        with alone(3 * pad.points):
+            super().__init__(body, given, eye=eye, depth=deep, image=image, **settings)
 
     def _gel(self) -> Pad:
         return self.pad
 
     def _checked(self, load: Array) -> list[Flag | None]:
         return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
+
+
+def alone(loads: int) -> AbstractContextManager[None]:
+    """One thread for the matrices of so many loads, where these are too small to be shared."""
+    return one_thread() if loads < SHARED else nullcontext()
 
 
 def _rows(pad: Pad, mass: Any, points: Array, pick: Callable[[Any], Any]) -> Array:

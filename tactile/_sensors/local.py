@@ -18,6 +18,8 @@ from scipy import sparse
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
+from structures._threads import one_thread
+
 from .._arrays import Array, Index, Mask
 from .discs import keep
 from .evidence import DiscModel, Fitted, shares
@@ -30,6 +32,7 @@ SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 PARTS = 4  # sets of readings that are kept
+MANY = 8  # discs, of which loads that only press are averaged
 INNER = (
     4.0  # log evidence of what a contact must bring that is for its size and ratios, where these count by themselves
 )
@@ -44,7 +47,8 @@ ONE_SIDE, Z95, HALVINGS = 0.975, 1.96, 30  # of a normal law; steps to where a f
 class LocalLoad:
     """Load (n,), its std (n,), covariance of its resultant (6, 6), the fit that weighs most, and how well it fits.
 
-    `rest` is the rms of the readings over what noise, contacts and the error of the mesh let expect.
+    `rest` is the rms of the readings over what noise, contacts and the error of the mesh let expect; `likely` are the
+    fits of largest weight, and these.
     """
 
     load: Array
@@ -52,6 +56,7 @@ class LocalLoad:
     wrench: Array
     best: Fitted
     rest: float
+    likely: tuple[tuple[float, Fitted], ...]
 
 
 @dataclass(eq=False)
@@ -68,6 +73,7 @@ class ContactFit(ContactSearch):
             keep(self._parts, key, part, PARTS)
         return self._parts[key]
 
+    @one_thread()  # its matrices are too small to be shared
     def __call__(self, z: Array, wide: float = 1.0, level: float = -np.inf) -> LocalLoad | None:
         """Load of whitened readings (m,), NaN where lost, whose noise is `wide` times as large as stated.
 
@@ -96,7 +102,8 @@ class ContactFit(ContactSearch):
         wrench[:3, :3] += (WHOLE * float(np.linalg.norm(made[:3]))) ** 2 * np.eye(3)
         best = max(found, key=score)
         rest = wide * float(np.sqrt(self.model(best.discs).unlike(z, best.at) / len(z)))
-        return LocalLoad(wide * load, wide * np.sqrt(np.maximum(variance, 0.0)), wide**2 * wrench, best, rest)
+        spread = wide * np.sqrt(np.maximum(variance, 0.0))
+        return LocalLoad(wide * load, spread, wide**2 * wrench, best, rest, _likely(found))
 
     def _cases(self, z: Array, found: list[Fitted]) -> list[tuple[float, Array, Array, Array]]:
         """Weights (sum 1), and mean and variance of the load (n,), covariance of its resultant (6, 6), of what may be.
@@ -131,17 +138,25 @@ class ContactFit(ContactSearch):
                 out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
         return out
 
+    @one_thread()
     def pressed(
         self, z: Array, local: LocalLoad, wide: float, friction: float | None, normals: Array | None = None
     ) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone.
 
+        Those of several discs are averaged by their evidence: what presses, or lies in a cone, still does on average.
         `normals` (P, 3) are those of a curved surface.
         """
         seen = np.isfinite(z)
         if not seen.all():
             return self.on(seen).pressed(z[seen], local, wide, friction, normals)
-        f, problem = local.best, self.problem
+        found = [self._pressed(z, f, wide, friction, normals) for _, f in local.likely]
+        load = sum((w * p.load for (w, _), p in zip(local.likely, found, strict=True)), np.zeros(len(local.load)))
+        return Pressed(load, local.std, local.wrench, sum(p.steps for p in found), all(p.converged for p in found))
+
+    def _pressed(self, z: Array, f: Fitted, wide: float, friction: float | None, normals: Array | None) -> Pressed:
+        """The same of the discs of one fit."""
+        problem = self.problem
         held = np.zeros(len(self.places), bool)
         spread: Array = np.zeros((len(self.places),) * 2 + (3, 3))
         inner = [np.flatnonzero(self.inside(d)) for d in f.discs]
@@ -170,7 +185,7 @@ class ContactFit(ContactSearch):
         found = solver.solve(solve_triangular(factor, z / wide, lower=True), np.ones(len(nodes), bool), None, nothing)
         load = np.zeros(problem.H.shape[1])
         load[columns] = wide * found.load
-        return replace(found, load=load, std=local.std, wrench=local.wrench)
+        return replace(found, load=load)
 
     def _grain(self, load: Array) -> Array:
         """Variance of each load (n,) by what the mesh cannot tell of one node."""
@@ -211,6 +226,13 @@ class ContactFit(ContactSearch):
         for w, at in zip(model.windows, f.at, strict=True):
             variance.reshape(-1, 3)[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
         return load, variance, felt @ spread @ felt.T, _pressing(felt[2], mean, spread, model.modes)
+
+
+def _likely(found: list[Fitted]) -> tuple[tuple[float, Fitted], ...]:
+    """The fits of largest evidence, and their weights, of sum 1."""
+    best = sorted(found, key=score)[: -MANY - 1 : -1]
+    weights = np.exp(np.array([score(f) for f in best]) - score(best[0]))
+    return tuple(zip((weights / weights.sum()).tolist(), best, strict=True))
 
 
 def _reach(cases: list[tuple[float, Array, Array, Array]], R: Array) -> Array:

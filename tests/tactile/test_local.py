@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -129,12 +130,11 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     errors = [e.change / f.problem.noise[:, None] for e in f.problem.errors() if not e.of_mesh]
     assert len(errors) == 2
     plain = reach @ np.linalg.solve(S, z)
-    for change in errors:
-        S += np.outer(change @ plain, change @ plain)
+    made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
     R = f.problem.resultant
     mean, _, wrench, _ = f._posterior(z, Fitted((disc,), at, 0.0))
-    assert np.allclose(mean, reach @ np.linalg.solve(S, z), rtol=1e-7, atol=1e-7 * np.abs(plain).max())
-    dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T)) @ R.T
+    assert np.allclose(mean, plain, rtol=1e-7, atol=1e-7 * np.abs(plain).max())
+    dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T) + sum(np.outer(m, m) for m in made)) @ R.T
     assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
 
 
@@ -199,3 +199,19 @@ def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts()
     assert f(z) is None
     assert abs(0.02 * force[2]) < 2 * hidden < 0.02
     assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)
+
+
+def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
+    f, z = fit(), pressed()[0].ravel() / NOISE
+    local = f(z)
+    assert local is not None
+    assert len(local.likely) > 1
+    assert np.isclose(sum(w for w, _ in local.likely), 1.0)
+    assert local.likely[0][1].discs == local.best.discs
+    one, other = (f.pressed(z, replace(local, likely=((1.0, g),)), 1.0, 0.8) for _, g in local.likely[:2])
+    both = replace(local, likely=tuple((w, g) for w, (_, g) in zip((0.25, 0.75), local.likely, strict=False)))
+    found = f.pressed(z, both, 1.0, 0.8)
+    assert np.allclose(found.load, 0.25 * one.load + 0.75 * other.load)
+    assert found.steps == one.steps + other.steps
+    x, y, down = found.load.reshape(-1, 3).T
+    assert np.all(np.hypot(x, y) <= -0.8 * down + 1e-6 * np.abs(down).max())
