@@ -7,9 +7,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.optimize import minimize
 
 from case_studies.bodies import Patch, surfaces
+from structures._threads import threads
 from tactile import Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import Disc
 from tactile._sensors.evidence import OWN, Fitted
@@ -215,3 +217,15 @@ def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
     assert found.steps == one.steps + other.steps
     x, y, down = found.load.reshape(-1, 3).T
     assert np.all(np.hypot(x, y) <= -0.8 * down + 1e-6 * np.abs(down).max())
+
+
+def test_contacts_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+
+    def contacts(self: ContactFit, z: np.ndarray) -> list[Fitted]:
+        seen.extend(threads())
+        return []
+
+    monkeypatch.setattr(ContactFit, "contacts", contacts)
+    assert fit()(np.zeros(len(fit().moved))) is None
+    assert set(seen) <= {1}
