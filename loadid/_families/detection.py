@@ -132,20 +132,16 @@ def _response(posed: Posed, load: Array, lam: float) -> Array:
 
 def _in_columns(test: EnergyTest, path: RegularizationPath, columns: Array) -> tuple[float, ...]:
     """Sizes of single unknowns, by the matrix (data, unknowns) of one frame."""
-    unknowns = columns.shape[1]
-
-    def explained(j: int) -> Callable[[float], float]:
-        one = np.zeros(unknowns)
-        one[j] = 1.0
-        return lambda lam: float(columns[:, j] @ (columns @ path.resolve(one, lam)))
-
-    return _sizes(test, [explained(j) for j in range(unknowns)])
+    each = np.eye(columns.shape[1])
+    lam = test.told_by(lambda at: float(columns[:, 0] @ (columns @ path.resolve(each[0], at))))
+    energy = np.sum(columns * (columns @ path.resolve(each, lam).T), axis=0)
+    return tuple(test.sizes(energy, lam).tolist())
 
 
 def _sizes(test: EnergyTest, explained: Sequence[Callable[[float], float]]) -> tuple[float, ...]:
     """Size of each load; all are asked at the lambda that tells the first."""
-    first, lam = test.least(explained[0])
-    return (first, *(test.least(one, np.array([lam]))[0] for one in explained[1:]))
+    lam = test.told_by(explained[0])
+    return tuple(test.sizes(np.array([one(lam) for one in explained]), lam).tolist())
 
 
 def _rms(x: Array) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -68,22 +69,21 @@ class EnergyTest:
             each = betaincc(*self._beta(), np.clip(self.energy / self.whole, 0.0, 1.0))
         return float(min(1.0, len(self.lam) * np.min(each)))
 
-    def least(self, seen: Callable[[float], float], lams: Array | None = None) -> tuple[float, float]:
-        """Size of a load that would have been told in 95 % of all cases, and the lambda that tells it.
+    def told_by(self, seen: Callable[[float], float]) -> float:
+        """Of these lambdas the one at which the smallest load of some shape would be told from noise.
 
         Parameters
         ----------
         seen : callable
-            Energy ``(H g)^T A (H g)`` of the whitened response of a load g of size 1, at a relative lambda.
-        lams : array, optional
-            Of those that were tried; default all.
+            Energy ``(H g)^T A (H g)`` of the whitened response of a load g of that shape, at a relative lambda.
         """
-        size, at = np.inf, float(self.lam[0])
-        for lam, need in zip(self.lam, self._needed(), strict=True):
-            own = seen(float(lam)) if lams is None or lam in lams else 0.0
-            if own > 0 and (found := float(np.sqrt(need / own))) < size:
-                size, at = found, float(lam)
-        return size, at
+        sizes = [self.sizes(np.array([seen(float(lam))]), float(lam))[0] for lam in self.lam]
+        return float(self.lam[int(np.argmin(sizes))])
+
+    def sizes(self, energy: Array, lam: float) -> Array:
+        """Factors (loads,) on loads of some `energy` at one lambda from which 95 % of all cases would tell them."""
+        need = self._needed[np.flatnonzero(self.lam == lam)[0]]
+        return np.sqrt(need / np.where(energy > 0, energy, np.nan), where=energy > 0, out=np.full(energy.shape, np.inf))
 
     def _beta(self) -> tuple[Array, Array]:
         mean = self.edf / self.m
@@ -91,6 +91,7 @@ class EnergyTest:
         free = mean * (1 - mean) / np.maximum(variance, np.finfo(float).tiny) - 1
         return mean * free, (1 - mean) * free
 
+    @cached_property
     def _needed(self) -> Array:
         """Energy of a response that 95 % of all noise lifts above the threshold."""
         from scipy.special import betaincinv, gammainccinv
@@ -121,7 +122,8 @@ def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> En
     path = path.unconstrained
     if path.energy is None or path.stacked or (sigma is None and path.m < FEWEST):
         return None
-    first = _tested(path, np.array([max(lam, path.range[0])]), sigma, bounded=True)
+    at = lam if lam > 0 else path.range[0]  # the range of a long record costs more than all else that is asked here
+    first = _tested(path, np.array([at]), sigma, bounded=True)
     if first is None or first.chance < PLAIN:
         return None
     found = _tested(path, np.geomspace(max(path.range[0], LOWEST), 1.0, TRIED), sigma)
