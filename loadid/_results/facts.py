@@ -96,6 +96,8 @@ class Facts(Mapping[str, Any]):
         Bound on the error of solving in windows, over the std.
     frequency, length, time_constant : float
         Of a harmonic load (Hz), of a spatial prior (m), of a settled filter (s).
+    explained : float
+        Of a harmonic load from a record: share of the power of the record, about its mean, that lies at its frequency.
     gap, converged, steps, held
         Of a solver: relative duality gap, whether it met its limit, steps; samples that a sign holds at zero.
     support, mu, support_kappa, knots, amplitude_std_with_neighbours
@@ -155,6 +157,7 @@ class Facts(Mapping[str, Any]):
     noise_kind: str | None = fact(shown=False)
     band: str | None = fact(shown=False)
     frequency: float | None = fact(unit="Hz")
+    explained: float | None = fact("share of the record that the harmonic explains")
     gap: float | None = fact()
     converged: bool | None = fact()
     held: int | None = fact()
