@@ -6,7 +6,7 @@ import html
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
-from .contract import Call, Page, Real, Whole
+from .contract import Call, Page, Real, Reals, Whole
 
 if TYPE_CHECKING:
     from .._results.estimate import LoadEstimate
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 HEIGHT = 900  # px of the frame in a notebook
 LAMBDA = Real(0.0, 1e12)  # relative; 0 is the estimate as it was found
+LOAD = Whole(0, 100_000)
+TOGETHER = 8  # pictures that are made ahead in one call, at most
 
 
 def page_with(shown: Callable[[], Shown], more: dict[str, Call]) -> Page:
@@ -26,7 +28,11 @@ def page_with(shown: Callable[[], Shown], more: dict[str, Call]) -> Page:
         "files/own.html",
         {
             "found": Call(lambda: shown().found()),
-            "picture": Call(lambda lam, load: shown().picture(lam, load), {"lam": LAMBDA, "load": Whole(0, 100_000)}),
+            "picture": Call(lambda lam, load: shown().picture(lam, load), {"lam": LAMBDA, "load": LOAD}),
+            "ahead": Call(
+                lambda lams, load: shown().ahead(lams, load),
+                {"lams": Reals(LAMBDA.low, LAMBDA.high, TOGETHER), "load": LOAD},
+            ),
             "at": Call(lambda lam: shown().at(lam), {"lam": LAMBDA}),
             "save": Call(lambda lam: shown().save(lam), {"lam": LAMBDA}),
             **more,

@@ -68,6 +68,18 @@ class Shown:
         """
         return {name: one for name, one in self._drawn(lam, load).items() if name != "x"}
 
+    def ahead(self, lams: list[float], load: int) -> dict[str, Any]:
+        """Make pictures that may be asked for next; says nothing.
+
+        Raises
+        ------
+        InputError
+            No such lambda or load.
+        """
+        for lam in lams:
+            self._drawn(lam, load)
+        return {}
+
     def save(self, lam: float) -> Download:
         """The result file at a lambda, 0 for the estimate as it was found."""
         e = self._at(lam) if lam else self.estimate

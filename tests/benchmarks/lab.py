@@ -52,8 +52,11 @@ def started() -> float:
     return found
 
 
-def visited(browser: Any, lab: Lab, name: str) -> list[tuple[str, ...]]:
-    """Rows of one page: paint and use, then each slider."""
+def visited(browser: Any, lab: Lab, name: str, first: str = "") -> list[tuple[str, ...]]:
+    """Rows of one page: paint and use, then each slider.
+
+    `first` is a box to be ticked before: usable is then when the answers at all stops of the slider are made ahead.
+    """
     context = browser.new_context(viewport={"width": 1200, "height": 900})
     page, sizes, wrong = context.new_page(), [0, 0], []
 
@@ -74,6 +77,12 @@ def visited(browser: Any, lab: Lab, name: str) -> list[tuple[str, ...]]:
     usable = 1e3 * (time.perf_counter() - begin)
     paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? NaN")
     page.wait_for_timeout(3000)
+    if first:
+        page.check(f"[name={first}]")
+        begin = time.perf_counter()
+        while not page.evaluate(f"(document.documentElement.dataset.ahead ?? '').includes('{first}\":true')"):
+            time.sleep(0.01)
+        usable = 1e3 * (time.perf_counter() - begin)
     opened, used, rows = sizes[1], 0, []
     for slider in SLIDERS.get(name, ()):
         ends = [float(page.get_attribute(f"#{slider}", end) or 0) for end in ("min", "max")]
