@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._flags import Flag
 from structures._model import Model, as_model, convolved, impulse_of
 from structures._models.arrays import MatrixModel
 from structures._readonly import ReadOnly
@@ -199,6 +201,12 @@ class FittedMap(ReadOnly):
             none = Adaptation.none(len(self.outputs.labels), len(self.scale))
             object.__setattr__(self, "adaptation", none)
 
+    @cached_property
+    def span_flags(self) -> list[Flag]:
+        """LID-W616 of a map whose examples do not tell all loads apart."""
+        known = {name: self.facts[name] for name in SPAN if name in self.facts}
+        return guards.not_in_the_set(**known) if known else []
+
     # -- answering ----------------------------------------------------------------------------------------------------
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
         """Loads behind a record or static readings.
@@ -361,7 +369,7 @@ class FittedMap(ReadOnly):
             *model.flags, guards.not_verified(model.certificate), *given.findings,
             guards.inverse_crime(given.simulated_by, model.fingerprint),
             guards.used_for_training("the record", given.fingerprints & model.training),
-            *guards.not_in_the_set(**{name: self.facts[name] for name in SPAN if name in self.facts}),
+            *self.span_flags,
         ])  # fmt: skip
         facts = {
             "m": int(values.size), "n": int(load.size), "novelty": worst.value, "novelty_by": outs.words(worst),
