@@ -419,17 +419,34 @@ class FittedMap(ReadOnly):
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     """With factors of the std and limits of the alarm from the draws kept apart."""
     errors, stds, scores = [], [], []
+    if lesson.dt is not None:
+        map_ = replace(map_, novelty=_settled(map_, lesson))
     for data, truth in lesson.batches(lesson.calibrating):
         mean, std = map_.engine.predict(data)
         errors.append(mean - truth)
         stds.append(np.broadcast_to(std, mean.shape))
-        left = map_.residual(data * lesson.scale, mean)
-        white = None if left is None else left / lesson.scale
+        white = _white(map_, lesson, data, mean)
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
     found = calibrated(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach)
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
+
+
+def _settled(map_: FittedMap, lesson: Lesson) -> Novelty:
+    """With what a record's mean is like among the examples that choose."""
+    means, samples = [], 0
+    for data, _ in lesson.batches(lesson.choosing):
+        left = _white(map_, lesson, data, map_.engine.predict(data)[0])
+        means += list((data if left is None else left).mean(axis=1))
+        samples = data.shape[1]
+    return map_.novelty.settled(means, samples)
+
+
+def _white(map_: FittedMap, lesson: Lesson, data: Array, mean: Array) -> Array | None:
+    """Residual of whitened data, in noise."""
+    left = map_.residual(data * lesson.scale, mean)
+    return None if left is None else left / lesson.scale
 
 
 def _answered_by_physics(
