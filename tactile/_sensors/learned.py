@@ -40,18 +40,23 @@ class SeenModel(PadModel):
     """The transfer matrix of a sensor, known by what is pressed and what is read, not by its last digit.
 
     Markers are found anew in every reference image: a map holds for all that lie where its own do (`matched`).
+
+    Parameters
+    ----------
+    sensor : LinearSensor
+    rows : array of int, optional
+        Its readings in the order of a map.
     """
 
-    def __init__(self, sensor: LinearSensor) -> None:
+    def __init__(self, sensor: LinearSensor, rows: Index | None = None) -> None:
         model = sensor.model
-        super().__init__(model.H, model.sensors, model.loads, model.basis, model.flags)
-        rows = f"{len(sensor.markers)} markers in {sensor.markers.axes}, {len(model.sensors)} readings"
-        self._known = f"{sensor.pressed_body.body!r}, {rows}"
+        H = model.H if rows is None else model.H[rows]
+        super().__init__(H, model.sensors, model.loads, model.basis, model.flags, model.described)
 
     @property
     def fingerprint(self) -> str:
         """What is pressed and read, in words."""
-        return self._known
+        return self.described
 
 
 class LearnedSensor(MarkedSensor):
@@ -76,11 +81,11 @@ class LearnedSensor(MarkedSensor):
 
     def __init__(self, sensor: LinearSensor, fitted: FittedMap) -> None:
         super().__init__(sensor.markers, sensor.eye, sensor.depth, sensor.contact)
-        self.sensor, self.fitted = sensor, fitted
         if "markers" not in fitted.facts:
             raise InputError("this map was not learned for a tactile sensor", where="LearnedSensor",
                              expected="one that LearnedSensor.fit made", hint="fit it through this class")  # fmt: skip
-        self._order = matched(np.asarray(fitted.facts["markers"], float), sensor.markers.points[:, :2])
+        self._columns = columns_of(sensor, fitted.facts["markers"])
+        self.sensor, self.fitted = sensor, replace(fitted, model=SeenModel(sensor, self._columns))
         self.offset = sensor.offset
 
     def __repr__(self) -> str:
@@ -115,13 +120,15 @@ class LearnedSensor(MarkedSensor):
         Raises
         ------
         InputError
-            As `loadid.LearnedMap.fit`.
+            As `loadid.LearnedMap.fit`; presses drawn for another pad, or for markers that lie elsewhere.
         """
-        learning = LearnedMap(SeenModel(sensor), engine=engine, seed=seed, progress=progress)
+        markers = sensor.markers.points[:, :2] if training.places is None else training.places
+        model = SeenModel(sensor, columns_of(sensor, markers))
+        learning = LearnedMap(model, engine=engine, seed=seed, progress=progress)
         own = {"places": sensor.geometry["coordinates"][sensor.kept[::3] // 3], "seed": seed}
         fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
-        facts = {**fitted.facts, "markers": sensor.markers.points[:, :2], "resultant": band.tree()}
+        facts = {**fitted.facts, "markers": markers, "resultant": band.tree()}
         return cls(sensor, replace(fitted, facts=facts))
 
     @classmethod
@@ -186,7 +193,8 @@ class LearnedSensor(MarkedSensor):
             "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}",
         })  # fmt: skip
         covariance = self._band.covariance(std, self.sensor.resultant)
-        return self.sensor.answered(load, std, covariance, facts, flags=flags, provenance=self._about)
+        told_by_set = (*flags, *self.fitted.span_flags)
+        return self.sensor.answered(load, std, covariance, facts, flags=told_by_set, provenance=self._about)
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean of unloaded frames as zero. Returns the sensor.
@@ -236,13 +244,6 @@ class LearnedSensor(MarkedSensor):
                 near = cKDTree(places[~gone]).query(places[gone], k=min(AROUND, int(np.sum(~gone))))[1]
                 values[gone] = values[~gone][near].reshape(int(gone.sum()), -1).mean(axis=1)
         return filled
-
-    @cached_property
-    def _columns(self) -> Index:
-        """Of the readings of this sensor, those of the map in its order."""
-        axes, count = len(self.markers.axes), self.markers.readings_count
-        marked = (axes * self._order[:, None] + np.arange(axes)).ravel()
-        return np.concatenate([marked, np.arange(count, len(self.offset))])
 
     @cached_property
     def _band(self) -> ResultantBand:
@@ -301,6 +302,20 @@ class ResultantBand:
 def _alone(std: Array, resultant: Array) -> Array:
     """Std of resultants (..., 6) if the loads (..., n) erred independently."""
     return np.sqrt(np.asarray(std) ** 2 @ (resultant**2).T)
+
+
+def columns_of(sensor: LinearSensor, markers: ArrayLike) -> Index:
+    """Of the readings of a sensor, those of a map of `markers` (N, 2) in its order.
+
+    Raises
+    ------
+    InputError
+        The markers lie elsewhere.
+    """
+    axes, count = len(sensor.markers.axes), sensor.markers.readings_count
+    order = matched(np.asarray(markers, float), sensor.markers.points[:, :2])
+    marked = (axes * order[:, None] + np.arange(axes)).ravel()
+    return np.concatenate([marked, np.arange(count, len(sensor.model.sensors))])
 
 
 def matched(known: Array, places: Array) -> Index:

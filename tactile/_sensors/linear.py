@@ -138,7 +138,8 @@ class LinearSensor(MarkedSensor):
             penalty, basis = cut(penalty, basis, kept), None
             H, resultant = H[:, kept], resultant[:, kept]
         self.resultant = resultant
-        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
+        told = f"{body.body!r}, {len(self.markers)} markers in {self.markers.axes}, {len(sensors)} readings"
+        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags, told)
         self.prior = penalty if isinstance(penalty, ContactPrior) else None
         self.problem: GaussianProblem | None = None
         if self.prior is None:
