@@ -269,6 +269,11 @@ class FittedMap(ReadOnly):
         std = np.hypot(own, np.linalg.norm(shared, axis=-2))
         return Prediction(mean * told.gain + told.offset, std, left, verdicts, shared)
 
+    def mean(self, values: Array) -> Array:
+        """Outputs (n, [samples,] outputs) alone of readings in SI."""
+        found = self.engine.predict((values - self.adaptation.bias) / self.scale)[0]
+        return np.asarray(found * self.adaptation.gain + self.adaptation.offset)
+
     def residual(self, values: Array, mean: Array) -> Array | None:
         """Readings (n, [samples,] sensors) less the response to outputs; None where the outputs are no loads."""
         if self.outputs.matrix is not None:

@@ -2,6 +2,10 @@
 
 The band of the resultant is calibrated beside that of the nodes, on the draws that were kept apart: errors of nodes are
 not independent, so that sums of them cannot be told from their stds.
+
+Motion does not tell the modulus, so that no alarm and no calibration on a set of one gel sees another one. What the
+gel's tolerances do to a load is known to first order: tractions of the same motion are as large as the modulus; with
+another nu or thickness the readings of a load change, and with them what the map makes of these. All nodes share that.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from structures.errors import InputError
 
 from .._arrays import Array, Index, Mask
 from .._results.forcemap import ForceFacts, ForceMap
+from .gaussian import ModelError
 from .linear import LinearSensor
 from .marked import MarkedSensor
 from .observation import DepthMap, Wrench
@@ -34,6 +39,7 @@ MOST_LOST = 0.1  # share of the readings that neighbours stand in for
 NEAR = 0.35  # of the distance of markers, within which a marker is the one that the map knows
 AROUND = 4  # neighbours
 Z95 = 1.959964
+AXES = ("Fx", "Fy", "Fz")
 
 
 class SeenModel(PadModel):
@@ -181,20 +187,51 @@ class LearnedSensor(MarkedSensor):
         lost = ~np.isfinite(y)
         if wrench is not None or lost.mean() > MOST_LOST:
             return self._by_physics(y, flags, wrench, None)
-        told = self.fitted.predict(self._whole(y, lost)[self._columns][None])
+        seen = self._whole(y, lost)[self._columns]
+        told = self.fitted.predict(seen[None])
         verdict = told.verdicts[0]
         if verdict.alarm:
             return self._by_physics(y, flags, None, verdict)
-        load, std = told.mean[0], told.std[0]
+        load, own = told.mean[0], told.own[0]
+        shared = np.vstack([told.shared[0], *self._other_gels(seen, load)])
+        std = np.hypot(own, np.linalg.norm(shared, axis=0))
         facts = ForceFacts.of({
             "m": int(np.sum(~lost)), "n": len(load), "lost": int(lost.sum()), "novelty": verdict.value,
             "novelty_by": words(verdict), "answered_by": self.name, "engine": self.fitted.engine.name,
             "provided": self.sensor.provided(self.depth is not None),
-            "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}",
+            "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}{self._known}",
         })  # fmt: skip
-        covariance = self._band.covariance(std, self.sensor.resultant)
+        sums = shared @ self.sensor.resultant.T
+        covariance = self._band.covariance(own, self.sensor.resultant) + sums.T @ sums
         told_by_set = (*flags, *self.fitted.span_flags)
         return self.sensor.answered(load, std, covariance, facts, flags=told_by_set, provenance=self._about)
+
+    def adapted(
+        self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None, *, wrenches: Sequence[Wrench]
+    ) -> LearnedSensor:
+        """The sensor with a gain for each direction, told by presses of known force; its error is in the band.
+
+        Parameters
+        ----------
+        frames, depths : sequence
+            As `estimate` takes them.
+        wrenches : sequence of Wrench
+            Of each frame, by a force sensor or weights; taken as exact.
+
+        Raises
+        ------
+        InputError
+            Wrenches that do not go with the frames, or a sensor whose loads are a part of its surface.
+        """
+        listed = self._listed(frames, depths)
+        if not frames or len(listed) != len(wrenches) or len(listed) != len(frames):
+            raise InputError("the wrenches do not go with the frames", where="adapted, wrenches",
+                             found=f"{len(wrenches)} of {len(listed)} frames", expected="one for each")  # fmt: skip
+        more = [(self._whole(y, ~np.isfinite(y))[self._columns], dict(zip(AXES, map(float, w.force), strict=True)))
+                for y, w in zip(listed, wrenches, strict=True)]  # fmt: skip
+        R, band = self.sensor.resultant, self._band
+        fitted = self.fitted.adapted(more, of_sums=lambda std: np.sqrt(np.diag(band.covariance(std, R))))
+        return type(self)(self.sensor, fitted)
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean of unloaded frames as zero. Returns the sensor.
@@ -212,6 +249,34 @@ class LearnedSensor(MarkedSensor):
     def _gel(self) -> Any:
         body = self.sensor.pressed_body.body
         return body if self.sensor.thickness is not None and hasattr(body, "material") else None
+
+    def _other_gels(self, seen: Array, load: Array) -> list[Array]:
+        """What a gel that is one std of each tolerance off does to a load (n,) of readings of the map (m,)."""
+        found = [error.change[self._columns] @ load for error in self._tolerated]
+        moved = self.fitted.mean(seen - np.array(found)) if found else np.zeros((0, len(load)))
+        by_E = [self._stiffness * load] if self._stiffness else []
+        return [*by_E, *(load - moved)]
+
+    @cached_property
+    def _tolerated(self) -> list[ModelError]:
+        """Errors of the readings within the tolerances of nu and thickness."""
+        tolerances = self.sensor.pressed_body.tolerances
+        if not (tolerances.nu or tolerances.thickness):
+            return []
+        return [error for error in self.sensor.model_errors() if error.name in ("nu", "thickness")]
+
+    @property
+    def _stiffness(self) -> float:
+        """Tolerance of the modulus, where no known force told it."""
+        return 0.0 if self.fitted.adaptation.records else self.sensor.pressed_body.tolerances.E
+
+    @cached_property
+    def _known(self) -> str:
+        """How well the gel is known, in words."""
+        tolerances = self.sensor.pressed_body.tolerances
+        told = {"E": self._stiffness, "nu": tolerances.nu, "thickness": tolerances.thickness}
+        said = [f"{name} {value:.3g}" for name, value in told.items() if value]
+        return f"; std of the gel, {', '.join(said)}" if said else ""
 
     def _by_physics(self, y: Array, flags: Sequence[Flag | None], wrench: Wrench | None, verdict: Any) -> ForceMap:
         """The sensor's own map, and why."""

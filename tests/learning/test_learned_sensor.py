@@ -12,7 +12,7 @@ from loadid._learning.network import Schedule
 from loadid.cli import main
 from loadid.generate import Examples, TrainingSet
 from structures.errors import InputError
-from tactile import ForceMap, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
+from tactile import ForceMap, Layer, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
 from tactile.generate import ContactRange, IndenterRange, PressDeclaration
 from tactile.generate import presses as drawn_presses
 
@@ -242,3 +242,50 @@ def test_presses_that_load_every_node_raise_no_flag() -> None:
                            loads=training().loads)  # fmt: skip
     found = LearnedSensor.fit(sensor(), whole, engine="linear").estimate(presses(COUNT, 1)[0][0])
     assert "LID-W616" not in [f.code for f in found.flags]
+
+
+def in_band(one: LearnedSensor, known: dict[str, float]) -> float:
+    """Share of the forces in their 95 % band, of presses on gels that are off by as much as is said."""
+    rng, held = np.random.default_rng(3), []
+    for k in range(12):
+        E, nu = 147e3 * (1 + known["E"] * rng.standard_normal()), 0.45 + known["nu"] * rng.standard_normal()
+        motion, loads = presses(6, 100 + k, Layer(2e-3, E, min(nu, 0.49)))
+        for u, load in zip(motion, loads, strict=True):
+            found = one.estimate(u)
+            if found.facts.answered_by == "learned map":
+                force = found.resultant()
+                held.append(np.abs(force.value - one.sensor.resultant[:3] @ load) <= 1.96 * force.std)
+    assert len(held) > 60
+    return float(np.mean(held))
+
+
+def test_the_band_holds_the_forces_on_gels_within_their_tolerances(learned: LearnedSensor) -> None:
+    known = {"E": 0.12, "nu": 0.03}
+    assert in_band(learned, known) < 0.7
+    told = LearnedSensor(sensor(**known), learned.fitted)
+    assert 0.91 < in_band(told, known) < 0.98
+    assert "std of the gel, E 0.12, nu 0.03" in told.estimate(presses(COUNT, 2)[0][0]).facts.band
+
+
+def test_a_tolerance_of_the_modulus_is_that_of_all_tractions(learned: LearnedSensor) -> None:
+    u = presses(COUNT, 1)[0][0]
+    want, found = learned.estimate(u), LearnedSensor(sensor(E=0.1), learned.fitted).estimate(u)
+    assert np.array_equal(found.load, want.load)
+    assert found.std == pytest.approx(np.hypot(want.std, 0.1 * want.load))
+    force = want.resultant()
+    assert found.resultant().std == pytest.approx(np.hypot(force.std, 0.1 * force.value))
+
+
+def test_presses_of_known_force_tell_the_modulus(learned: LearnedSensor) -> None:
+    motion, loads = presses(COUNT, 2, Layer(2e-3, 1.2 * 147e3, 0.45))
+    one = LearnedSensor(sensor(E=0.12), learned.fitted)
+    R = one.sensor.resultant[:3]
+    wrenches = [Wrench(tuple(R @ load)) for load in loads[:5]]
+    told = one.adapted(list(motion[:5]), wrenches=wrenches)
+    assert told.fitted.adaptation.gain[2] == pytest.approx(1.2, abs=0.1)
+    assert "std of the gel" not in told.estimate(motion[5]).facts.band
+    held = [np.abs(m.resultant().value - R @ load) <= 1.96 * m.resultant().std
+            for m, load in zip(map(told.estimate, motion[5:]), loads[5:], strict=True)]  # fmt: skip
+    assert np.mean(held) > 0.9
+    with pytest.raises(InputError, match="the wrenches do not go with the frames"):
+        one.adapted(list(motion[:5]), wrenches=wrenches[:4])
