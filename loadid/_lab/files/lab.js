@@ -11,7 +11,7 @@ const faults = new Map();  // of each kind of work, until it succeeds
 const fault = (work, text) => {
   const place = document.getElementById("fault");
   faults.set(work, text);
-  place.textContent = [...new Set(faults.values())].join(" ").trim();
+  place.textContent = [...new Set(faults.values())].filter(Boolean).join("; ");
   place.hidden = !place.textContent;
 };
 
