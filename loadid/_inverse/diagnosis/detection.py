@@ -9,7 +9,7 @@ lambdas are tried, as a load may be simple or not, and the smallest chance count
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from .. import Array
 from ..path import PathPoint, RegularizationPath
+from ..sparse.path import log_supports
 
 TRIED = 7  # lambdas ...
 LOWEST = 1e-4  # ... from here to the scale of the path
@@ -105,6 +106,59 @@ class EnergyTest:
         above, b = np.maximum(threshold - self.edf, 0.0), 2 * SURE**2
         x = above + b + np.sqrt(b**2 + 2 * b * above + 2 * SURE**2 * self.edf2)
         return np.asarray(self.level**2 * x)
+
+
+@dataclass(frozen=True, eq=False)
+class SupportTest:
+    """Energy that a few waveforms explain, which were picked from many.
+
+    Of noise alone that of k waveforms is a chi-square of k degrees of freedom, or its share of the data a beta variable
+    where the level is not known; the smallest chance counts as many times as there are supports of that size.
+
+    Parameters
+    ----------
+    energies : mapping of int to float
+        Number of waveforms -> what they explain of ``whole``.
+    atoms, m : int
+        Waveforms to pick from, and data.
+    whole : float
+        y^T y.
+    sigma : float or None
+        Noise level of the whitened data, where it is known.
+    """
+
+    energies: Mapping[int, float]
+    atoms: int
+    m: int
+    whole: float
+    sigma: float | None
+
+    @property
+    def level(self) -> float:
+        """Noise level, as that of `EnergyTest`."""
+        return ROUGH * self.sigma if self.sigma is not None else float(np.sqrt(self.whole / self.m))
+
+    @property
+    def chance(self) -> float:
+        """That noise alone is explained as well, by some support."""
+        from scipy.stats import beta, chi2
+
+        each = []
+        for count, energy in self.energies.items():
+            if self.sigma is not None:
+                log = chi2.logsf(energy / self.level**2, count)
+            else:
+                share = float(np.clip(energy / self.whole, 0.0, 1.0))
+                log = beta.logsf(share, count / 2, max(self.m - count, 1) / 2)
+            each.append(float(log) + log_supports(self.atoms, count))
+        return float(np.exp(min(0.0, np.log(len(each)) + min(each))))
+
+    @property
+    def least(self) -> float:
+        """Norm of the response of one waveform that would have been told in 95 % of all cases."""
+        from scipy.special import ndtri
+
+        return float(-ndtri(CHANCE / (2 * len(self.energies) * self.atoms)) + SURE) * self.level
 
 
 def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> EnergyTest | None:
