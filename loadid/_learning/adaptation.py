@@ -173,6 +173,8 @@ def _fitted(found: Sequence[Told], columns: Sequence[Array], before: Array) -> t
     spread = float(np.sqrt((BEFORE + sum(sizes)) / (BEFORE + len(sizes))))
     apart = sum(max(1.0, len(o) / t.together) for t, o in zip(found, off, strict=True))
     wider = float(stdtrit(BEFORE + apart, WITHIN)) / NormalDist().inv_cdf(WITHIN)  # of Student's t: it was measured
+    if any(t.sums is not None for t in found):  # sums that are off by less do not tell that loads are
+        spread = max(spread, 1.0)
     return x, F, spread * wider
 
 

@@ -227,8 +227,12 @@ class LearnedSensor(MarkedSensor):
         if not frames or len(listed) != len(wrenches) or len(listed) != len(frames):
             raise InputError("the wrenches do not go with the frames", where="adapted, wrenches",
                              found=f"{len(wrenches)} of {len(listed)} frames", expected="one for each")  # fmt: skip
+        return self.adapted_to(listed, wrenches)
+
+    def adapted_to(self, readings: Sequence[Array], wrenches: Sequence[Wrench]) -> LearnedSensor:
+        """As `adapted`, of readings (m,), NaN where one is lost."""
         more = [(self._whole(y, ~np.isfinite(y))[self._columns], dict(zip(AXES, map(float, w.force), strict=True)))
-                for y, w in zip(listed, wrenches, strict=True)]  # fmt: skip
+                for y, w in zip(readings, wrenches, strict=True)]  # fmt: skip
         R, band = self.sensor.resultant, self._band
         fitted = self.fitted.adapted(more, of_sums=lambda std: np.sqrt(np.diag(band.covariance(std, R))))
         return type(self)(self.sensor, fitted)
