@@ -198,7 +198,7 @@ def table():
         static(gauges(count), level, [CASE] * 5, np.random.default_rng(100))
 
 
-def random(seed=31, draws=40):
+def random(seed=4000, draws=16):
     """Random loads of four kinds."""
     for kind in (vanishing, smooth, humps, narrow):
         for count, level in ((6, 0.001), (6, 0.02), (10, 0.001), (10, 0.02)):
