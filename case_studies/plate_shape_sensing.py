@@ -106,7 +106,7 @@ def full_field(seed: int) -> Row:
     found = virtual_fields(FieldFrames(noisy[None], "deflection", (x[1], x[1])), plate())
     truth = pressure(X, Y)
     there = np.isfinite(found.pressure[0])
-    half = 1.96 * float(np.hypot(found.std, found.bias))
+    half = 1.96 * float(np.hypot(found.std[0], found.bias[0]))
     inside = float(np.mean(np.abs(found.pressure[0] - truth)[there] <= half))
     return _row(ROUTES[2], found.pressure[0], truth, inside)
 

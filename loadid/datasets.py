@@ -198,7 +198,7 @@ def modal_test(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) -
     Parameters
     ----------
     folder : path, optional
-        Where ``test.uff`` (accelerances of ``30+Z`` and ``14+Z`` over ``30+Z``), ``hit1.csv`` and ``hit2.csv`` (columns
+        Where ``test.uff`` (accelerances of ``30+Z`` and ``14+Z`` over ``30+Z``), ``tap1.csv`` and ``tap2.csv`` (columns
         ``time [s]``, ``F [N]``, ``a1 [m/s^2]``, ``a2 [m/s^2]``) are written.
     seed : int
         Of the force and of the noise, 1 % of the signals (of the hits 0.2 %).
@@ -238,7 +238,7 @@ def modal_test(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) -
     files = [_written(folder, "test.uff", SI + frfs)]
     for k, length in enumerate((0.0015, 0.002), 1):
         pulse = _half_sine(8192, dt, peak=300.0, start=0.05, length=length)
-        files.append(_csv(folder, f"hit{k}.csv", test(pulse, ["a1", "a2"], 0.002, seed + 1 + k, "hit beam")))
+        files.append(_csv(folder, f"tap{k}.csv", test(pulse, ["a1", "a2"], 0.002, seed + 1 + k, "hit beam")))
     return Dataset(model, record, force[::FINER], tuple(files))
 
 

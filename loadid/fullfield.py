@@ -4,11 +4,14 @@ Of deflectometry or image correlation, by the virtual fields method (F. Pierron,
 Springer 2012): virtual work over a window that slides over the grid. With the virtual deflection
 ``(1 - s^2)^4 (1 - t^2)^4``, which has no slope, no curvature and no shear at the rim of its window, all derivatives are
 taken from the virtual field, and none from the data.
+
+Behind the front of a blow the waves are no longer long against the thickness: the work of the inertia has the term of
+rotation and shear of R. D. Mindlin (J. Appl. Mech. 18 (1951) 31), ``-rho h r^2 nabla^2 w_tt``, with
+``r^2 = h^2 / 12 (1 + 2 / (5/6 (1 - nu)))``.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +25,7 @@ from structures.errors import InputError, finite, one_of, pair, positive, reals
 
 from ._inverse.shape import moving
 from ._inverse.shape.plate import thin_plate
+from ._inverse.shape.virtual_work import LADDER, LARGEST, SMALLEST, MadeInertia, VirtualWork, ladder, searched
 
 __all__ = ["FieldFrames", "PressureFrames", "acceleration", "read", "virtual_fields"]
 
@@ -29,10 +33,6 @@ Array = NDArray[np.float64]
 QUANTITIES = {"deflection": "displacement", "slopes": "angle"}  # of their units
 AXES = ("yx", "xy")
 FEWEST = 8  # frames that an acceleration is made of
-REACH = 4  # points on either side of which a difference is made
-SMALLEST, LADDER, LARGEST = 7, 1.25, 0.45  # half a window in points, from one to the next, over the shorter side
-CLEAR = 2.0  # stds that two windows may differ by
-SHOWN = 48  # points along each side at which windows are compared
 ROUNDING = 4e-16  # of the largest reading: noise that is always there
 
 
@@ -92,10 +92,12 @@ class PressureFrames(ReadOnly):
     Parameters
     ----------
     pressure : array
-    std : float
-        Of every value, from the noise of the data alone; that of an acceleration made of the frames is in it.
-    bias : float
-        Rms of what a window of 1.25 times the size changes: how much detail the window smooths away, about.
+    std : array, shape (frames,)
+        Of every value of a frame, from the noise of the data alone: of the field, and of the acceleration, given or
+        made of the frames, which is large at the ends of a record.
+    bias : array, shape (frames,)
+        How much detail the window smooths away, about (rms): by what a window of 1.25 times the size changes; NaN where
+        none fits.
     window : (int, int)
         Points of the window along x and y.
     noise : float
@@ -103,8 +105,8 @@ class PressureFrames(ReadOnly):
     """
 
     pressure: Array
-    std: float
-    bias: float
+    std: Array
+    bias: Array
     window: tuple[int, int]
     noise: float
 
@@ -169,8 +171,10 @@ def virtual_fields(
     noise : float, optional
         Std of the data (m or rad); by their fourth differences where not given.
     window : int, optional
-        Points along x, odd. Default: the largest window that agrees, to within twice its noise, with every smaller one
-        (O. V. Lepskii, Theory Probab. Appl. 35 (1990) 454).
+        Points along x, odd. Default: that of the least sum of squares of its noise and of what it smooths away, the
+        latter by what the next larger one changes. That change is also what sees errors that are no white noise, as
+        those of the elements of a computed field (quasi-optimality: A. N. Tikhonov, V. B. Glasko, USSR Comput. Math.
+        Math. Phys. 5 (1965) 93).
 
     Raises
     ------
@@ -189,23 +193,17 @@ def virtual_fields(
                          expected=f"at least {int(SMALLEST / LARGEST) + 1} along each side")  # fmt: skip
     level = _noise(field.values) if noise is None else positive("noise", noise, where="virtual_fields")
     level = max(level, ROUNDING * float(np.abs(field.values).max()))
-    pull, loose = field.acceleration, 0.0
-    if pull is None and field.dt is not None:
-        pull, loose = acceleration(field, level)
-    work = _Work(field, pull, thin.rigidity, thin.mass)
-    halves = [(window - 1) // 2] if window is not None else _ladder(most)
-    half, seen, std = 0, np.zeros(0), 0.0
-    smaller: list[tuple[Array, float]] = []
-    for tried in halves:
-        shown, gain = work.shown(tried), level * work.gain(tried)
-        if any(_apart(shown, p) > CLEAR * s for p, s in smaller):
-            break
-        half, seen, std = tried, shown, gain
-        smaller.append((shown, gain))
-    wide = min(int(half * LADDER) + 1, (int(min(nx, ny * dy / dx)) - 3) // 2)
-    bias = _apart(seen, work.shown(wide))
-    std = float(np.hypot(std, thin.mass * loose))
-    return PressureFrames(work.pressure(half), std, bias, (2 * half + 1, 2 * work.across(half) + 1), level)
+    pull = _inertia(field, level)
+    halves = [(window - 1) // 2] if window is not None else ladder(most)
+    largest = int(LADDER * LARGEST * min(nx, ny * dy / dx)) if window is None else (int(min(nx, ny * dy / dx)) - 1) // 2
+    w = field.values
+    fields = (w,) if field.quantity == "deflection" else (w[:, 0], w[:, 1])
+    plain, flat = (VirtualWork(fields, field.spacing, *pull, thin, flat) for flat in (False, True))
+    best = searched(plain, halves, largest, level)
+    other = searched(flat, [half for half in halves if half >= best.half], largest, level)
+    best = other if other.risk < best.risk else best
+    size = 2 * best.half + 1, 2 * best.work.across(best.half) + 1
+    return PressureFrames(best.work.pressure(best.half), best.std, best.bias, size, level)
 
 
 def acceleration(field: FieldFrames, noise: float) -> tuple[Array, float]:
@@ -222,23 +220,38 @@ def acceleration(field: FieldFrames, noise: float) -> tuple[Array, float]:
     noise : float
         Std of the deflections (m).
     """
-    w = field.values.reshape(len(field.values), -1)
-    assert field.dt is not None
-    U, s, V = np.linalg.svd(w, full_matrices=False)
-    ratio = min(w.shape) / max(w.shape)
-    least = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio * ratio + 14 * ratio + 1)))
-    heard = np.flatnonzero(s > noise * least * np.sqrt(max(w.shape)))
-    found, variance = np.zeros(w.shape), 0.0
-    for k in heard:
-        series = U[:, k : k + 1] * s[k] / noise
-        size = float(np.sqrt(np.mean(series**2)))
-        motion = moving.smoothed(series, np.ones(1), size, field.dt)
-        found += noise * motion.mean[:, :, 2] * V[k]
-        variance += noise**2 * float(np.mean(motion.covariance[:, 0, 2, 2])) / w.shape[1]
-    return found.reshape(field.values.shape), float(np.sqrt(variance))
+    found, made = _smoothed(field, noise)
+    return found, float(np.sqrt(np.mean(np.sum(made.variance, axis=1)) / found[0].size))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
+def _inertia(field: FieldFrames, level: float) -> tuple[Array | None, float, MadeInertia | None]:
+    """Acceleration, given or made; the std of its white noise; what it is made of."""
+    if field.acceleration is not None:
+        return field.acceleration, _noise(field.acceleration), None
+    if field.dt is not None:
+        found, made = _smoothed(field, level)
+        return found, 0.0, made
+    return None, 0.0, None
+
+
+def _smoothed(field: FieldFrames, noise: float) -> tuple[Array, MadeInertia]:
+    """Acceleration of deflections, by the directions of their frames."""
+    w = field.values.reshape(len(field.values), -1)
+    assert field.dt is not None
+    _, s, V = np.linalg.svd(w, full_matrices=False)
+    ratio = min(w.shape) / max(w.shape)
+    least = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio * ratio + 14 * ratio + 1)))
+    heard = np.flatnonzero(s > noise * least * np.sqrt(max(w.shape)))
+    rate, variance = np.zeros((2, len(w), len(heard)))
+    for n, k in enumerate(heard):
+        series = (w @ V[k])[:, None] / noise
+        motion = moving.smoothed(series, np.ones(1), float(np.sqrt(np.mean(series**2))), field.dt)
+        rate[:, n], variance[:, n] = noise * motion.mean[:, 0, 2], noise**2 * motion.covariance[:, 0, 2, 2]
+    V = V[heard]
+    return (rate @ V).reshape(field.values.shape), MadeInertia(V.reshape(-1, *field.values.shape[-2:]), variance)
+
+
 def _frames(values: ArrayLike, rank: int, what: str) -> Array:
     array = reals(values, where=f"FieldFrames, {what}")
     if array.ndim != rank or 0 in array.shape:
@@ -274,108 +287,3 @@ def _noise(values: Array) -> float:
     """Std of white noise by fourth differences along the rows, robust against what is smooth."""
     fourth = np.diff(values, 4, axis=-1)
     return float(np.median(np.abs(fourth)) / 0.6745 / np.sqrt(70.0))
-
-
-def _ladder(most: int) -> list[int]:
-    """Halves of the windows that are tried."""
-    steps = int(np.log(most / SMALLEST) / np.log(LADDER))
-    return sorted({int(SMALLEST * LADDER**k) for k in range(steps + 1)})
-
-
-def _stencil(order: int) -> Array:
-    """Differences of nine points that are the derivative of `order` of polynomials up to the eighth degree."""
-    at = np.arange(-REACH, REACH + 1.0)
-    powers = at[None, :] ** np.arange(len(at))[:, None]
-    return np.asarray(np.linalg.solve(powers, math.factorial(order) * (np.arange(len(at)) == order)))
-
-
-def _bump(half: int, step: float, order: int) -> Array:
-    """Derivative of ``(1 - s^2)^4``, by differences, over a window of ``2 half + 1`` points.
-
-    By differences of the virtual field: their sums with the data are those of the differences of the data with it, so
-    that polynomials are met exactly however few points the window has.
-    """
-    inner = half - REACH
-    s = np.arange(-inner, inner + 1) / (inner + 1)
-    padded = np.pad((1 - s * s) ** 4, REACH)
-    return padded if order == 0 else np.asarray(np.convolve(padded, _stencil(order)[::-1], "same") / step**order)
-
-
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """Virtual work of a field over windows of any size."""
-
-    field: FieldFrames
-    pull: Array | None
-    rigidity: float
-    mass: float
-
-    def across(self, half: int) -> int:
-        """Half a window along y."""
-        dx, dy = self.field.spacing
-        return max(round(half * dx / dy), SMALLEST)
-
-    def terms(self, half: int) -> tuple[list[tuple[Array, Array, Array]], float]:
-        """Fields with their kernels along x and y, over the area of the virtual deflection, and the gain of noise."""
-        dx, dy = self.field.spacing
-        x, y = ([_bump(h, d, k) for k in range(5)] for h, d in ((half, dx), (self.across(half), dy)))
-        size = self.rigidity / float(np.sum(x[0]) * np.sum(y[0]))
-        if self.field.quantity == "deflection":
-            parts = [[(x[4], y[0]), (2 * x[2], y[2]), (x[0], y[4])]]
-            fields = [self.field.values]
-        else:
-            parts = [[(-x[3], y[0]), (-x[1], y[2])], [(-x[2], y[1]), (-x[0], y[3])]]
-            fields = [self.field.values[:, 0], self.field.values[:, 1]]
-        kernels = [sum(np.outer(ky, kx) for kx, ky in part) for part in parts]
-        gain = size * float(np.sqrt(sum(np.sum(np.square(kernel)) for kernel in kernels)))
-        out = [(w, size * kx, ky) for w, part in zip(fields, parts, strict=True) for kx, ky in part]
-        if self.pull is not None:
-            out.append((self.pull, x[0] * (size * self.mass / self.rigidity), y[0]))
-        return out, gain
-
-    def gain(self, half: int) -> float:
-        """Std of the pressure per std of the data."""
-        return self.terms(half)[1]
-
-    def pressure(self, half: int) -> Array:
-        """Pressure (frames, ny, nx), NaN in the rim."""
-        found = np.full((len(self.field.values), *self.field.values.shape[-2:]), np.nan)
-        other = self.across(half)
-        inside = found[:, other : found.shape[1] - other, half : found.shape[2] - half]
-        inside[:] = sum(_correlated(w, kx, ky) for w, kx, ky in self.terms(half)[0])
-        return found
-
-    def shown(self, half: int) -> Array:
-        """The same at no more than `SHOWN` points along each side, by products of matrices."""
-        ny, nx = self.field.values.shape[-2:]
-        rows, columns = (np.unique(np.linspace(0, n - 1, min(SHOWN, n)).round().astype(int)) for n in (ny, nx))
-        found = np.full((len(self.field.values), len(rows), len(columns)), np.nan)
-        i, j = (np.flatnonzero((at >= h) & (at < n - h))
-                for at, h, n in ((rows, self.across(half), ny), (columns, half, nx)))  # fmt: skip
-        found[:, i[:, None], j] = sum(
-            _windows(rows[i], ky, ny) @ w @ _windows(columns[j], kx, nx).T for w, kx, ky in self.terms(half)[0]
-        )
-        return found
-
-
-def _windows(at: NDArray[np.intp], kernel: Array, count: int) -> Array:
-    """Rows (points, count) that hold a kernel about each place."""
-    out = np.zeros((len(at), count))
-    half = len(kernel) // 2
-    for row, middle in zip(out, at, strict=True):
-        row[middle - half : middle + half + 1] = kernel
-    return out
-
-
-def _correlated(w: Array, kx: Array, ky: Array) -> Array:
-    """Sums of ``w * ky kx`` over every whole window, by products of Fourier transforms along each axis."""
-    from scipy.signal import oaconvolve
-
-    once = oaconvolve(w, kx[::-1][None, None, :], mode="valid", axes=2)
-    return np.asarray(oaconvolve(once, ky[::-1][None, :, None], mode="valid", axes=1))
-
-
-def _apart(one: Array, other: Array) -> float:
-    """Rms difference where both are."""
-    both = np.isfinite(one) & np.isfinite(other)
-    return float(np.sqrt(np.mean((one[both] - other[both]) ** 2))) if both.any() else 0.0

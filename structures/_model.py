@@ -215,6 +215,11 @@ class Model(ReadOnly):
         return None
 
     @property
+    def described(self) -> str:
+        """What training sets drawn for it name beside its fingerprint, where that tells more than they depend on."""
+        return ""
+
+    @property
     def training(self) -> frozenset[str]:
         """Digests (`structures.errors.digests`) of the responses that it was made from."""
         return frozenset()

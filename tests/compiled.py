@@ -48,14 +48,14 @@ class Controller:
         self._all = ctypes.CDLL(str(library))
         self._step = self._all[f"{name}_step"]
         self._step.argtypes, self._step.restype = [ctypes.c_void_p] * 4, ctypes.c_uint
-        self._reset = self._all[f"{name}_reset"]
+        self._starts = self._all[f"{name}_reset"], self._all[f"{name}_reset_moving"]
         self._state = ctypes.create_string_buffer(ROOM)
         self.m, self.p, self.type = sensors, loads, np.float64 if dtype == "double" else np.float32
         self.reset()
 
-    def reset(self) -> None:
-        """Before the first sample."""
-        self._reset(ctypes.c_void_p(ctypes.addressof(self._state)))
+    def reset(self, moving: bool = False) -> None:
+        """Before the first sample, at rest or in motion."""
+        self._starts[moving](ctypes.c_void_p(ctypes.addressof(self._state)))
 
     def run(self, Y: Array) -> tuple[Array, Array, NDArray[np.int_]]:
         """Loads and std (samples, loads), and what each sample answered (samples,)."""

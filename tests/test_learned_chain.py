@@ -38,6 +38,17 @@ def test_what_it_does_not_know_is_told_from_what_it_knows(trials, kind):
     assert np.median([t.map_error for t in trials[kind]]) > 0.2  # the map alone would be of no use
 
 
+@pytest.mark.parametrize("sensor", [0, 4])
+def test_a_sensor_that_is_off_by_a_constant_is_told(study, sensor):
+    """By as much as its noise: a tenth of what is asked for."""
+    for seed in range(100, 104):
+        _, y = study.record(KINDS[0], seed)
+        y[:, sensor] += study.noise[sensor]
+        told = study.linear.predict(y[None]).verdicts[0]
+        assert told.worst == "offset"
+        assert told.value > 2
+
+
 def test_what_is_answered_then_is_no_worse_than_tikhonov(study):
     found = [study.trials(study.linear, kind, [0], 1)[0] for kind in ("sine 40 Hz", "stiffness + 10 %")]
     assert all(t.answered_error <= 1.02 * t.tikhonov_error for t in found)

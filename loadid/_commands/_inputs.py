@@ -278,34 +278,18 @@ def lacking(record: Record, settings: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def amplitudes(record: Record, frequency: float | None) -> tuple[dict[str, complex], list[float]]:
-    """Complex amplitude of every channel at a frequency (Hz), and its std, by least squares over the whole record.
-
-    ``y(t) = Re[Y exp(i 2 pi f t)] + constant``; what that leaves of the record is taken for white noise, s: the std of
-    Y, ``sqrt(mean |error|^2)``, is then ``2 s / sqrt(samples)``.
+def require_frequency(settings: Mapping[str, Any]) -> None:
+    """Nothing, unless a harmonic load is asked for without its frequency.
 
     Raises
     ------
     InputError
-        No frequency, a record of less than a period, gaps, a frequency beyond Nyquist.
+        What to state.
     """
-    if frequency is None:
+    if settings.get("frequency") is None:
         raise InputError("at which frequency does the load act?", where="frequency", found="none stated",
                          expected="the frequency of the load in Hz",
                          hint="--frequency 25, or frequency = 25 in the job")  # fmt: skip
-    t = np.arange(len(record.values)) * record.dt
-    if not 1 / max(len(t) * record.dt, record.dt) <= frequency < 0.5 / record.dt:
-        raise InputError("the record does not hold this frequency", where="frequency", found=f"{frequency:g} Hz",
-                         expected=f"{1 / (len(t) * record.dt):.4g} Hz to below {0.5 / record.dt:.4g} Hz")  # fmt: skip
-    if np.isnan(record.values).any():
-        raise InputError("the record has gaps", where="record", found=f"{int(np.isnan(record.values).sum())} samples",
-                         expected="complete channels")  # fmt: skip
-    turn = 2 * np.pi * frequency * t
-    A = np.column_stack([np.cos(turn), -np.sin(turn), np.ones(len(t))])
-    x = np.linalg.lstsq(A, record.values, rcond=None)[0]
-    rest = np.sqrt(np.sum((record.values - A @ x) ** 2, axis=0) / max(len(t) - 3, 1))
-    found = {label: complex(a, b) for label, a, b in zip(record.labels, x[0], x[1], strict=True)}
-    return found, (2 * rest / np.sqrt(len(t))).tolist()
 
 
 def candidates(model: Model, grid: Sequence[int]) -> Model:

@@ -208,12 +208,9 @@ def _estimated(family: str, found: Any, model: Model, responses: Sequence[str] |
         order = used if "sensors" in settings or family != "frequency" else labels
         order = [*order, *settings.get("validation", ())] if "sensors" in settings else order
         settings["noise"] = inputs.noise(settings["noise"], labels, order)
-    if family == "harmonic" and _is_record(found):
-        found, spread = inputs.amplitudes(found, settings.get("frequency"))
-        found = {label: found[label] for label in used}
-        settings.setdefault("noise", [spread[whole.labels.index(label)] for label in used])
-        settings.setdefault("noise_source", "residual")
-    elif isinstance(found, Mapping) and "sensors" in settings:
+    if family == "harmonic":
+        inputs.require_frequency(settings)
+    if isinstance(found, Mapping) and "sensors" in settings:
         found = {label: found[label] for label in used if label in found}
     made = chosen(model, **family_settings(settings, chosen, model), progress=progress)
     if family == "tracker":

@@ -180,15 +180,15 @@ class Deconvolution:
         acting = self.settings.acting(len(found.load), data.dt)
         found = local_variance.replaced(found, local, choice, data.dt, acting)
         prior, pushes = local_variance.words(local), "" if pushed is None else "; it only pushes"
+        if not local_variance.told(local):  # what was learned of hits is told by its evidence
+            nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
+            found = replace(found, not_told=nothing)
         if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
         elif self.settings.unasked and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.unasked and len(found.load) <= local_variance.LONGEST:
             found = local_variance.widened(found, states(), choice)
-        if not prior:  # what was learned of hits is told by its evidence
-            nothing = detection.of_history(posed, choice.lam, self.model.loads, data.dt, acting)
-            found = replace(found, not_told=nothing)
         found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")
         return answer(

@@ -13,13 +13,14 @@ from structures._channels import Channel
 from structures._flags import Flag
 
 from .. import _guards as guards
-from .._inverse.diagnosis.detection import EnergyTest, noise_alone
+from .._inverse.diagnosis.detection import CHANCE, EnergyTest, SupportTest, noise_alone
 from .._inverse.path import FactoredPath, RegularizationPath
 from .._inverse.problem import whiten
 
 if TYPE_CHECKING:
     from .posing import Posed
     from .posing.gathered import LineData
+    from .posing.sparsity import SparseChoice
     from .posing.steady import StaticProblem
 
 Array = NDArray[Any]
@@ -67,7 +68,7 @@ def of_history(
         response = _response(posed, load, lam)
         return lambda at: float(np.sum(response * _response(posed, posed.path.resolve(load, at), lam)))
 
-    return _not_told(test, loads, f"a hit (half sine of {1e3 * len(pulse) * dt:.3g} ms) of {{}}",
+    return _not_told(test.chance, loads, f"a hit (half sine of {1e3 * len(pulse) * dt:.3g} ms) of {{}}",
                       _sizes(test, [explained(hit, j) for j in range(len(loads))]),
                       "a wide-band load throughout of {} rms",
                       _sizes(test, [explained(wide / _rms(wide[when]), j) for j in range(len(loads))]))  # fmt: skip
@@ -78,7 +79,7 @@ def of_readings(posed: StaticProblem, lam: float, loads: Sequence[Channel]) -> N
     test = noise_alone(posed.base, lam, posed.noise.sigma)
     if test is None:
         return None
-    return _not_told(test, loads, "a load of {} alone", _in_columns(test, posed.base, posed.whitening @ posed.H))
+    return _not_told(test.chance, loads, "a load of {} alone", _in_columns(test, posed.base, posed.whitening @ posed.H))
 
 
 def of_line(path: RegularizationPath, lam: float, sigma: float | None, H: Array, level: Array,
@@ -89,12 +90,12 @@ def of_line(path: RegularizationPath, lam: float, sigma: float | None, H: Array,
         return None
     seen = H / level[:, None]
     both = np.block([[seen.real, -seen.imag], [seen.imag, seen.real]])
-    return _not_told(test, loads, "an amplitude of {} alone", _in_columns(test, path, both)[: len(loads)])
+    return _not_told(test.chance, loads, "an amplitude of {} alone", _in_columns(test, path, both)[: len(loads)])
 
 
 def of_lines(H: Array, line: LineData, loads: Sequence[Channel], unit: str) -> NotTold | None:
-    """Of spectra whose noise is known: one load alone, of one size on all lines."""
-    if not line.known or line.part_of is not None:
+    """Of spectra: one load alone, of one size on all lines."""
+    if line.part_of is not None or not np.isfinite(line.averages):
         return None
     whitened, X = H / np.sqrt(line.power)[..., None], line.X / np.sqrt(line.power)[..., None]
     U, s, _ = np.linalg.svd(whitened, full_matrices=False)
@@ -105,7 +106,7 @@ def of_lines(H: Array, line: LineData, loads: Sequence[Channel], unit: str) -> N
     outside = max(float(np.sum(np.abs(X) ** 2) - np.sum(beta2)), 0.0)
     path = FactoredPath(s.ravel(), np.ones(s.size), np.sqrt(beta2).ravel(), many * outside, round(many * H.shape[0] *
                         H.shape[1]), weight=np.full(s.size, many))  # fmt: skip
-    test = noise_alone(path, 1.0, 1.0)
+    test = noise_alone(path, 1.0, 1.0 if line.known else None)
     if test is None:
         return None
     parts = np.abs(U.conj().swapaxes(1, 2) @ whitened) ** 2
@@ -120,7 +121,26 @@ def of_lines(H: Array, line: LineData, loads: Sequence[Channel], unit: str) -> N
     sizes = _sizes(test, [explained(j) for j in range(len(loads))])
     if line.kind == "cross spectra":
         sizes = tuple(size**2 for size in sizes)
-    return _not_told(test, loads, "a load of {} on every line", sizes, unit=unit)
+    return _not_told(test.chance, loads, "a load of {} on every line", sizes, unit=unit)
+
+
+def of_support(chosen: SparseChoice, loads: Sequence[Channel]) -> NotTold | None:
+    """Of few waveforms of a dictionary: one alone, in the middle of the record."""
+    problem, atoms, fit = chosen.problem, chosen.atoms, chosen.fit
+    y, best = problem.y.reshape(-1), fit.support[[int(np.argmax(np.abs(fit.x)))]]
+    whole, column = float(y @ y), atoms.columns(best)[:, 0]
+    energies = {len(fit.x): whole - fit.residual2, 1: float(column @ y) ** 2 / float(column @ column)}
+    test = SupportTest(energies, atoms.n, problem.data, whole, problem.noise.sigma)
+    if test.chance < CHANCE:
+        return None
+    sizes = np.full(len(loads), np.inf)
+    for i, j in enumerate(chosen.loads):
+        mine = np.flatnonzero(atoms.load == i)
+        middle = mine[[len(mine) // 2]]
+        response = float(np.linalg.norm(atoms.columns(middle)))
+        if response > 0:
+            sizes[j] = test.least * float(abs(atoms.histories(middle)).max()) / response
+    return _not_told(test.chance, loads, "one waveform alone of {}", tuple(sizes.tolist()))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------
@@ -132,20 +152,16 @@ def _response(posed: Posed, load: Array, lam: float) -> Array:
 
 def _in_columns(test: EnergyTest, path: RegularizationPath, columns: Array) -> tuple[float, ...]:
     """Sizes of single unknowns, by the matrix (data, unknowns) of one frame."""
-    unknowns = columns.shape[1]
-
-    def explained(j: int) -> Callable[[float], float]:
-        one = np.zeros(unknowns)
-        one[j] = 1.0
-        return lambda lam: float(columns[:, j] @ (columns @ path.resolve(one, lam)))
-
-    return _sizes(test, [explained(j) for j in range(unknowns)])
+    each = np.eye(columns.shape[1])
+    lam = test.told_by(lambda at: float(columns[:, 0] @ (columns @ path.resolve(each[0], at))))
+    energy = np.sum(columns * (columns @ path.resolve(each, lam).T), axis=0)
+    return tuple(test.sizes(energy, lam).tolist())
 
 
 def _sizes(test: EnergyTest, explained: Sequence[Callable[[float], float]]) -> tuple[float, ...]:
     """Size of each load; all are asked at the lambda that tells the first."""
-    first, lam = test.least(explained[0])
-    return (first, *(test.least(one, np.array([lam]))[0] for one in explained[1:]))
+    lam = test.told_by(explained[0])
+    return tuple(test.sizes(np.array([one(lam) for one in explained]), lam).tolist())
 
 
 def _rms(x: Array) -> float:
@@ -153,7 +169,7 @@ def _rms(x: Array) -> float:
 
 
 def _not_told(
-    test: EnergyTest, loads: Sequence[Channel], what: str, sizes: tuple[float, ...], other: str = "",
+    chance: float, loads: Sequence[Channel], what: str, sizes: tuple[float, ...], other: str = "",
     others: tuple[float, ...] = (), unit: str = "{}",
 ) -> NotTold:  # fmt: skip
     """The flag with the loads that are seen best and least, one kind or two."""
@@ -168,5 +184,5 @@ def _not_told(
         f"at {loads[best].label} {said(best)}" if best == least
         else f"at {loads[best].label} {said(best)}, at {loads[least].label}, which is seen least, {said(least)}"
     )  # fmt: skip
-    return NotTold(test.chance, guards.not_told(test.chance, text),
+    return NotTold(chance, guards.not_told(chance, text),
                    {"told_from": sizes, **({"told_from_throughout": others} if others else {})})  # fmt: skip

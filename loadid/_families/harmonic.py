@@ -15,18 +15,21 @@ from structures._model import Model, as_model
 from structures.errors import InputError, plain, positive
 
 from .. import _guards as guards
+from .. import _objects
 from .._inverse.choice import Choice, checked, choose, moved, named
 from .._inverse.diagnosis import identifiability
 from .._inverse.problem import NOT_KNOWN, STATED, LinearProblem
 from .._inverse.svd import SVDPath
+from .._record import Record
 from .._results.again import Again
 from .._results.estimate import Axis, LoadEstimate
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise
 from . import detection
 from . import smoothness as spatial
+from .amplitudes import LineReadings, of_record
 from .answer import Amplitudes, answer, of_path, undetermined
-from .data import rows_of
+from .data import gather, rows_of
 from .field import told_apart
 from .noise import NoiseLevel, noise_level
 from .smoothness import geometry
@@ -55,7 +58,7 @@ class HarmonicInversion:
     choice : str, callable, float, None or Lambda
         Rule by name or itself, or relative lambda; None chooses as `loadid.paths.choose` says.
     noise : float, array (sensors,) or Noise, optional
-        Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``.
+        Standard deviation of the complex amplitudes, ``sqrt(mean |error|^2)``; of the samples, where records are given.
     sensors, allow, progress
         As in `Deconvolution`.
 
@@ -94,13 +97,15 @@ class HarmonicInversion:
         rank = told_apart(self.H[None])
         self.W = spatial.root(space, length, self.H.shape[1], self.basis, rank)
 
-    def estimate(self, amplitudes: Any) -> LoadEstimate:
+    def estimate(self, found: Any) -> LoadEstimate:
         """Rebuild the loads behind complex amplitudes.
 
         Parameters
         ----------
-        amplitudes : array (sensors,) or mapping of label to number, complex
-            In the units of the sensors; ``y(t) = Re[Y exp(i 2 pi f t)]``.
+        found : array (sensors,) or mapping of label to number, complex, or Record
+            In the units of the sensors; ``y(t) = Re[Y exp(i 2 pi f t)]``. Of a record the amplitudes are fitted over
+            its whole length; how much of it they explain is ``facts.explained``, and what lies on the lines beside this
+            one is their noise (`loadid._families.amplitudes`).
 
         Returns
         -------
@@ -111,43 +116,46 @@ class HarmonicInversion:
         Raises
         ------
         InputError
-            Amplitudes that do not fit, NaN.
+            Amplitudes that do not fit, NaN; a record that does not hold the frequency, or does not move.
         NotIdentifiable
             With lambda 0, where the sensors do not determine the load (LID-E306).
         """
-        Y = self._amplitudes(amplitudes)
+        line = self._readings(found)
         self._progress(0.1, "posing the problem")
-        path, noise = self._pose(Y)
+        noise = line.noise or self._noise(line.values)
+        path = self._pose(line.values, noise)
         self._refuse_undetermined(path)
         self._progress(0.4, "choosing lambda")
         choice = choose(path, self.choice, sigma=noise.sigma, source=noise.source)
         self._progress(1.0, "done")
-        return self._kept(Y, path, noise, choice)
+        return self._kept(line, path, noise, choice)
 
-    def _kept(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
+    def _kept(self, line: LineReadings, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
         """The answer, with the problem that it can be asked of at another lambda; not without regularisation."""
-        found = self._answered(Y, path, noise, choice)
-        return found if self._free else replace(found, again=Again(path, partial(self._at, Y, path, noise, choice)))
+        found = self._answered(line, path, noise, choice)
+        return found if self._free else replace(found, again=Again(path, partial(self._at, line, path, noise, choice)))
 
-    def _at(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice, lam: float) -> LoadEstimate:
+    def _at(self, line: LineReadings, path: SVDPath, noise: NoiseLevel, choice: Choice, lam: float) -> LoadEstimate:
         own = copy(self)
         own.choice = lam
-        return own._kept(Y, path, noise, moved(choice, path, lam))
+        return own._kept(line, path, noise, moved(choice, path, lam))
 
-    def _answered(self, Y: Complex, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
+    def _answered(self, line: LineReadings, path: SVDPath, noise: NoiseLevel, choice: Choice) -> LoadEstimate:
         sigma = noise_level(path, choice, noise)
         solution = path.solution(choice.lam, sigma)
+        Y = line.values
         rest = Y - self.H @ (solution.load[0] + 1j * solution.load[1])
-        facts = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
+        facts: dict[str, Any] = {"path": "dense SVD, real and imaginary parts", "frequency": self.frequency}
+        if line.explained is not None:
+            facts["explained"] = line.explained
         layout = identifiability.layout(path.singular_values, self.unknowns)
         found = of_path(
             path, choice, solution, sigma, noise, layout=layout, axis=Axis("part", "", np.arange(2.0)),
             response=np.stack([Y.real, Y.imag]), residual=np.stack([rest.real, rest.imag]),
             facts={**facts, "n": self.unknowns}, hidden_by=path, along=-1,
         )  # fmt: skip
-        measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
         return answer(
-            self, measured,
+            self, line.measured,
             replace(found, geometry=None if self.basis is None else _geometry(self.basis),
                     not_told=detection.of_line(path, choice.lam, noise.sigma, self.H, noise.level, self.model.loads)),
             choice,
@@ -170,6 +178,12 @@ class HarmonicInversion:
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }  # fmt: skip
 
+    def _readings(self, given: Any) -> LineReadings:
+        if isinstance(given, Record) or _objects.tabled(given):
+            return of_record(gather(given, None, self.model, self.sensors, timed=False), self.frequency, self.noise)
+        measured = Amplitudes([self.model.sensors[i] for i in self.rows], self.rows)
+        return LineReadings(self._amplitudes(given), measured)
+
     def _amplitudes(self, given: Any) -> Complex:
         labels = [self.model.sensors[i].label for i in self.rows]
         if isinstance(given, Mapping):
@@ -191,15 +205,15 @@ class HarmonicInversion:
                              expected=f"finite, ({len(self.rows)},): {labels[:12]}")  # fmt: skip
         return Y
 
-    def _pose(self, Y: Complex) -> tuple[SVDPath, NoiseLevel]:
+    def _pose(self, Y: Complex, noise: NoiseLevel) -> SVDPath:
         """The line as a real problem: real parts before imaginary ones."""
-        noise, H = self._noise(Y), self.H
+        H = self.H
         loads = H.shape[1]
         both = np.stack([np.hstack([H.real, -H.imag]), np.hstack([H.imag, H.real])])
         L = None if self.W is None else np.kron(np.eye(2), self.W)
         problem = LinearProblem.whitened(both, np.stack([Y.real, Y.imag]), noise.level, L, (2, loads))
         labels = [f"{part} {c.label}" for part in ("Re", "Im") for c in self.model.loads]
-        return SVDPath(problem, labels=labels), noise
+        return SVDPath(problem, labels=labels)
 
     def _noise(self, Y: Complex) -> NoiseLevel:
         """Std of the real and of the imaginary part of each amplitude; else a scale per unit."""

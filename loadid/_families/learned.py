@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._flags import Flag
 from structures._model import Model, as_model, convolved, impulse_of
 from structures._models.arrays import MatrixModel
 from structures._readonly import ReadOnly
@@ -16,7 +18,7 @@ from structures.errors import InputError, one_of
 
 from .. import _guards as guards
 from .._learning import outputs as outs
-from .._learning.adaptation import Adaptation, adapted
+from .._learning.adaptation import Adaptation, adapted, bias_of
 from .._learning.calibration import Factors, calibrated, require_draws
 from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
@@ -150,12 +152,21 @@ class Prediction(ReadOnly):
         Readings less the model's response to the load, SI; None of resultants.
     verdicts : tuple of Verdict
         One of each reading or record.
+    shared : array (n, [samples,] k, outputs)
+        Errors of unit std that all loads have in common, which are in the std: of the gains and of the bias that real
+        records told.
     """
 
     mean: Array
     std: Array
     residual: Array | None
     verdicts: tuple[Verdict, ...]
+    shared: Array
+
+    @property
+    def own(self) -> Array:
+        """Std of each load without what all share."""
+        return np.asarray(np.sqrt(np.maximum(self.std**2 - np.sum(self.shared**2, axis=-2), 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +207,14 @@ class FittedMap(ReadOnly):
 
     def __post_init__(self) -> None:
         if self.adaptation is None:
-            none = Adaptation.none(len(self.outputs.labels), len(self.scale))
+            none = Adaptation.none(len(self.outputs.labels), np.zeros(len(self.scale)))
             object.__setattr__(self, "adaptation", none)
+
+    @cached_property
+    def span_flags(self) -> list[Flag]:
+        """LID-W616 of a map whose examples do not tell all loads apart."""
+        known = {name: self.facts[name] for name in SPAN if name in self.facts}
+        return guards.not_in_the_set(**known) if known else []
 
     # -- answering ----------------------------------------------------------------------------------------------------
     def estimate(self, record: Any, dt: float | None = None) -> LoadEstimate:
@@ -246,9 +263,16 @@ class FittedMap(ReadOnly):
         verdicts = tuple(
             self.novelty.verdict(one / self.scale, None if white is None else white[i]) for i, one in enumerate(clean)
         )
-        gain = self.adaptation.gain
+        told = self.adaptation
         factor = self.factors.inside if self.dt is None else self.factors.of(values.shape[1])
-        return Prediction(mean * gain, std * factor * np.abs(gain) * self.adaptation.spread, left, verdicts)
+        own, shared = std * factor * np.abs(told.gain) * told.spread, told.shared(mean)
+        std = np.hypot(own, np.linalg.norm(shared, axis=-2))
+        return Prediction(mean * told.gain + told.offset, std, left, verdicts, shared)
+
+    def mean(self, values: Array) -> Array:
+        """Outputs (n, [samples,] outputs) alone of readings in SI."""
+        found = self.engine.predict((values - self.adaptation.bias) / self.scale)[0]
+        return np.asarray(found * self.adaptation.gain + self.adaptation.offset)
 
     def residual(self, values: Array, mean: Array) -> Array | None:
         """Readings (n, [samples,] sensors) less the response to outputs; None where the outputs are no loads."""
@@ -279,14 +303,18 @@ class FittedMap(ReadOnly):
         return checked(self, held_out, Progress(progress), draws)
 
     # -- real records -------------------------------------------------------------------------------------------------
-    def adapted(self, more: Sequence[tuple[Any, Any]]) -> FittedMap:
+    def adapted(self, more: Sequence[tuple[Any, Any]], *, of_sums: Callable[[Array], Array] | None = None) -> FittedMap:
         """The map with gain, bias, noise and alarm adapted to a few real records of known force.
+
+        What a gain and a bias are off by is in the std afterwards.
 
         Parameters
         ----------
         more : sequence of (record, known)
             Known loads (loads,) or (samples, loads), or a mapping from the label of a resultant to its value (N, N m).
             Records of no load (all zero) tell the bias of the sensors.
+        of_sums : callable, optional
+            Std of the resultants (resultants,), of the std of outputs (outputs,), where it is known better.
 
         Raises
         ------
@@ -297,18 +325,24 @@ class FittedMap(ReadOnly):
             raise InputError("no records with known force", where="more", expected="pairs of a record and its load")
         read = [(self._values(record), self.outputs.known(given)) for record, given in more]
         unloaded = [values for values, known in read if not known.any]
-        bias = self.adaptation.bias
+        outputs, bias, off = len(self.outputs.labels), self.adaptation.bias, np.zeros((0, len(self.scale)))
         if unloaded:
-            bias = np.mean([v.reshape(-1, v.shape[-1]).mean(axis=0) for v in unloaded], axis=0)
-        plain = replace(self, adaptation=replace(Adaptation.none(len(self.outputs.labels), len(bias)), bias=bias))
-        loaded = [(plain.predict(values), values, known) for values, known in read if known.any]
+            bias, std = bias_of(unloaded, self.scale, history=self.dt is not None)
+            off = np.diag(std / self.scale)
+        alone = Adaptation.none(outputs, bias, off @ self.engine.of_constant)
+        plain = replace(self, adaptation=replace(alone, fixed=np.zeros((0, outputs)), by_gain=np.zeros((0, outputs))))
+        loaded = [(plain.predict(values), known) for values, known in read if known.any]
         if not loaded:
-            return plain
-        compared = [known.against(p.mean, p.std, self._factor()) for p, _, known in loaded]
-        found = adapted([c[:3] for c in compared], self.outputs.groups, bias, len(self.outputs.labels),
-                        [c[3] for c in compared])  # fmt: skip
-        seen = [v.scores for p, _, _ in loaded for v in p.verdicts]
-        return replace(plain, adaptation=found, novelty=self.novelty.widened(seen))
+            return replace(self, adaptation=alone)
+        together = 1.0 if self.dt is None else 2.0 * self.engine.reach + 1
+        found, W = alone, self._factor()
+        for _ in range(2):  # errors are as large as the gain makes them
+            size = np.abs(found.gain)
+            told = [known.against(p.mean, p.std * size, None if W is None else W * size, together, of_sums)
+                    for p, known in loaded]  # fmt: skip
+            found = adapted(told, self.outputs.groups, replace(alone, fixed=alone.fixed * size))
+        seen = [v.scores for p, _ in loaded for v in p.verdicts]
+        return replace(self, adaptation=found, novelty=self.novelty.widened(seen))
 
     def _factor(self) -> Array | None:
         """Factor of the posterior covariance of one static load, where the engine knows it."""
@@ -361,7 +395,7 @@ class FittedMap(ReadOnly):
             *model.flags, guards.not_verified(model.certificate), *given.findings,
             guards.inverse_crime(given.simulated_by, model.fingerprint),
             guards.used_for_training("the record", given.fingerprints & model.training),
-            *guards.not_in_the_set(**{name: self.facts[name] for name in SPAN if name in self.facts}),
+            *self.span_flags,
         ])  # fmt: skip
         facts = {
             "m": int(values.size), "n": int(load.size), "novelty": worst.value, "novelty_by": outs.words(worst),
@@ -375,32 +409,49 @@ class FittedMap(ReadOnly):
             sensors=[c.label for c in given.channels], sensor_units=[c.unit for c in given.channels],
             flags=flags, certificate=model.certificate,
             geometry=None if basis is None or self.outputs.matrix is not None else geometry(basis),
-            posterior=self._posterior(load.shape), facts=Facts.of(facts),
+            posterior=self._posterior(load.shape, told.shared[0] if single else told.shared), facts=Facts.of(facts),
             provenance=provenance(NAME, settings=settings, inputs=given.inputs, model=model.fingerprint,
                                   prior=f"loads like those of {self.facts['draws']} examples"),
         )  # fmt: skip
 
-    def _posterior(self, shape: tuple[int, ...]) -> Any:
+    def _posterior(self, shape: tuple[int, ...], shared: Array) -> Any:
         W = self._factor()
         if W is None or self.dt is not None:
             return None
-        return outs.StaticPosterior(W * (self.adaptation.gain * self.adaptation.spread), shape)
+        return outs.StaticPosterior(W * (self.adaptation.gain * self.adaptation.spread), shape, shared)
 
 
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     """With factors of the std and limits of the alarm from the draws kept apart."""
     errors, stds, scores = [], [], []
+    if lesson.dt is not None:
+        map_ = replace(map_, novelty=_settled(map_, lesson))
     for data, truth in lesson.batches(lesson.calibrating):
         mean, std = map_.engine.predict(data)
         errors.append(mean - truth)
         stds.append(np.broadcast_to(std, mean.shape))
-        left = map_.residual(data * lesson.scale, mean)
-        white = None if left is None else left / lesson.scale
+        white = _white(map_, lesson, data, mean)
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
     found = calibrated(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach)
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
+
+
+def _settled(map_: FittedMap, lesson: Lesson) -> Novelty:
+    """With what a record's mean is like among the examples that choose."""
+    means, samples = [], 0
+    for data, _ in lesson.batches(lesson.choosing):
+        left = _white(map_, lesson, data, map_.engine.predict(data)[0])
+        means += list((data if left is None else left).mean(axis=1))
+        samples = data.shape[1]
+    return map_.novelty.settled(means, samples)
+
+
+def _white(map_: FittedMap, lesson: Lesson, data: Array, mean: Array) -> Array | None:
+    """Residual of whitened data, in noise."""
+    left = map_.residual(data * lesson.scale, mean)
+    return None if left is None else left / lesson.scale
 
 
 def _answered_by_physics(

@@ -281,6 +281,11 @@ def words(learned: Priors) -> str:
     return f"a load of zero mean whose variance changes with time, {memory}"
 
 
+def told(learned: Priors) -> bool:
+    """Whether the evidence asks for hits: these are told from noise."""
+    return isinstance(learned, Learned) and learned.prior.asked_for
+
+
 def _smooth(found: SolvedLoad, learned: Smooth, choice: Choice, dt: float) -> SolvedLoad:
     """The answer with the load of a smooth prior."""
     prior, posed = learned.prior, learned.posed

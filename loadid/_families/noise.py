@@ -12,8 +12,8 @@ from structures._advice import Advice, Spelling
 from structures._model import Model
 from structures.errors import InputError
 
-from .._inverse.choice import Choice, residual_level
-from .._inverse.path import RegularizationPath
+from .._inverse.choice import Choice, residual_level, shown_level
+from .._inverse.path import PathPoint, RegularizationPath
 from .._inverse.problem import NOT_KNOWN, STATED, Cholesky, NoiseSource
 from .._quality import noise_std
 from ..settings import Noise
@@ -203,20 +203,20 @@ CHANCE = 0.05  # a residual this unlikely under the stated noise is model error
 
 def noise_level(path: RegularizationPath, choice: Choice, noise: NoiseLevel) -> float:
     """Stated level of the whitened noise; what the residual shows where that is clearly more or nothing was stated."""
-    seen = residual_level(path, choice.lam)
+    point = path.at(choice.lam)
+    seen = shown_level(point, path.m)
     if noise.sigma is None:
         return seen or _last_resort(path, choice)
-    if seen is None or seen <= noise.sigma * _margin(path, choice.lam):
+    if seen is None or seen <= noise.sigma * _margin(point):
         return noise.sigma
     return seen
 
 
-def _margin(path: RegularizationPath, lam: float) -> float:
+def _margin(point: PathPoint) -> float:
     """How far the residual level exceeds the noise by chance, for the freedom that the fit leaves."""
     from scipy.special import gammaincinv
 
-    left = path.at(lam).left
-    freedom = 1.0 if left is None else max(float(left), 1.0)
+    freedom = 1.0 if point.left is None else max(float(point.left), 1.0)
     return float(np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom))
 
 

@@ -17,6 +17,7 @@ from .._inverse.choice import checked
 from .._inverse.diagnosis import identifiability
 from .._inverse.posterior import DensePosterior
 from .._inverse.shape import choosing, moving
+from .._inverse.shape.edged import EdgedLoads
 from .._inverse.shape.plate import ThinPlate, thin_plate
 from .._inverse.shape.radial import RadialBasis
 from .._record import Record
@@ -32,8 +33,9 @@ from .smoothness import geometry
 
 Array = NDArray[np.float64]
 GRID = 12  # patches along the longer side
-SMALLEST, STEP = 1.0, 2**0.25  # shape parameter, times the longer side; from one that is tried to the next
+SMALLEST, STEP = 1.0, 2**0.5  # shape parameter, times the longer side; from one that is tried to the next
 FINEST = 0.75  # times the distance of the gauges: functions that are narrower, the gauges do not tell from noise
+AT_EDGES = (0.0, 0.3, 1.0)  # size of pressures that do not vanish at the edges, over that of the functions
 LOST = 0.3  # share of the data (rms) that the finest field leaves, above which it cannot hold them
 EXCESS = 5.0  # the same over noise that is known
 PRIOR = "a load whose second derivatives are as likely at every wavelength down to the narrowest function; edges held"
@@ -78,7 +80,8 @@ class ShapeSensing:
     Notes
     -----
     Source of the route: strains, inverse finite elements (Tessler & Spangler), Gaussian radial basis functions, plate
-    equation, as Li et al. (2025) join them. Multiscale functions, edges and bands are this package's.
+    equation, as Li et al. (2025) join them. Multiscale functions, edges, pressures that do not vanish at the edges and
+    bands are this package's.
     """
 
     name = "shape sensing"
@@ -191,7 +194,9 @@ class ShapeSensing:
         y = np.atleast_2d(path.problem.y.T)
         size = 1 / (best.lam * float(path.scale))
         motion = moving.smoothed(y @ path.U[:, : len(gains)] / sigma, gains, size, data.dt)
-        rows = np.stack(self._rows(thin_plate(self.plate), posed.functions[best.candidate]), axis=-1)  # (loads, f, 3)
+        plate, candidate = thin_plate(self.plate), posed.candidates[best.candidate]
+        functions = RadialBasis(plate.sides, plate.edges, candidate.shape, posed.ends)
+        rows = np.stack(self._rows(plate, functions), axis=-1) * candidate.sizes[:, None]  # (loads, f, 3)
         seen = np.einsum("pfd,fr->rpd", rows, V)
         load = sigma * np.einsum("trd,rpd->tp", motion.mean, seen)
         variance = np.zeros(load.shape)
@@ -223,11 +228,16 @@ class ShapeSensing:
             places = {tuple(np.round(np.asarray(g.at, float) / plate.size, 9)) for g in self.gauges}
             apart = float(np.sqrt(plate.sides[0] * plate.sides[1] / len(places)))
             count = max(1 + int(np.floor(np.log(FINEST / apart / SMALLEST) / np.log(STEP))), 2)
-            functions = tuple(RadialBasis(plate.sides, plate.edges, SMALLEST * STEP**k) for k in range(count))
+            ends = EdgedLoads(plate.sides, plate.edges, plate.nu)
+            functions = [RadialBasis(plate.sides, plate.edges, SMALLEST * STEP**k, ends) for k in range(count)]
+            rows = [(f, self._gauge_rows(plate, f), self._rows(plate, f)) for f in functions]
             self._posed = _Posed(
-                functions,
-                tuple(self._gauge_rows(plate, f) for f in functions),
-                tuple(self._rows(plate, f) for f in functions),
+                tuple(
+                    _Candidate(f.shape, sizes, gauges * sizes, tuple(load * sizes for load in loads))
+                    for f, gauges, loads in rows
+                    for sizes in map(f.sizes, AT_EDGES)
+                ),
+                ends,
             )
         return self._posed
 
@@ -298,7 +308,7 @@ class ShapeSensing:
 
     def _facts(self, posed: _Posed, chosen: choosing.Chosen, noise: NoiseLevel, frames: int) -> Facts:
         best = chosen.best
-        path, functions = best.path, posed.functions[best.candidate]
+        path, shape = best.path, posed.candidates[best.candidate].shape
         kappa, rank, nullity = identifiability.layout(path.singular_values, path.X.shape[0])
         edf = path.at(best.lam).edf
         return Facts.of(
@@ -311,9 +321,9 @@ class ShapeSensing:
                 "edf": None if edf is None else float(edf),
                 "frames": frames,
                 "noise_level": choosing.noise_of(best, noise.sigma),
-                "length": self._still.size / functions.shape,
+                "length": self._still.size / shape,
                 **noise.source.facts,
-                "chosen": f"shape parameter {functions.shape / self._still.size:.3g} 1/m and its ridge, "
+                "chosen": f"shape parameter {shape / self._still.size:.3g} 1/m and its ridge, "
                 f"with {len(chosen.fits) - 1} others that the data do not rule out",
                 "band": "noise, ridge and shape; a load with detail narrower than the functions lies outside",
                 "path": "radial basis functions, SVD",
@@ -341,12 +351,31 @@ class ShapeSensing:
 
 
 @dataclass(frozen=True, eq=False)
-class _Posed:
-    """What the geometry decides, for each shape parameter."""
+class _Candidate:
+    """What the geometry decides, for a shape parameter and a size of the pressures at the edges."""
 
-    functions: tuple[RadialBasis, ...]
-    gauges: tuple[Array, ...]
-    loads: tuple[tuple[Array, Array, Array], ...]
+    shape: float
+    sizes: Array
+    gauges: Array
+    loads: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """All candidates."""
+
+    candidates: tuple[_Candidate, ...]
+    ends: EdgedLoads
+
+    @property
+    def gauges(self) -> tuple[Array, ...]:
+        """Rows of the gauges."""
+        return tuple(c.gauges for c in self.candidates)
+
+    @property
+    def loads(self) -> tuple[tuple[Array, ...], ...]:
+        """Rows of the loads per deflection, velocity and acceleration."""
+        return tuple(c.loads for c in self.candidates)
 
 
 def _patches(plate: Structure, thin: ThinPlate) -> bases.Basis:

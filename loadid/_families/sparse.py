@@ -27,7 +27,7 @@ from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty, Sparsity
-from . import histories
+from . import detection, histories
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import Data, gather
 from .offsets import without_offsets
@@ -155,6 +155,7 @@ class SparseDeconvolution:
             load=load, std=posterior.std, posterior=posterior, axis=over_time(len(load), data.dt), response=response,
             residual=response - predicted, facts=facts,
             excess=beyond_noise(chosen.fit.residual2, problem.data, problem.noise),
+            not_told=detection.of_support(chosen, self.model.loads),
         )  # fmt: skip
         return answer(
             self, data, found, choice, known=problem.noise.known, settings=self._settings(chosen),

@@ -19,6 +19,7 @@ TONES = 30.0  # power of a line over the median around it from which it is a har
 STRONG = 3.0  # signal over noise of a line that is excited
 FEW = 16  # lines that were picked because they are excited
 MOST = 0.5  # share of a variance, or of the power of a load, that decides
+HARMONIC = 0.5  # share of the power of a record that its one harmonic explains
 SHARP = 1.0  # bandwidth of the window over that of the sharpest resonance
 
 
@@ -110,6 +111,18 @@ def too_coarse(bandwidth: float, decay_rate: float | None) -> Flag | None:
         f"leakage: the window averages over {bandwidth:.3g} Hz, the sharpest resonance is {sharpest:.3g} Hz wide; "
         "around it the spectra are not those of the FRF",
         f"longer segments (at least {np.ceil(bandwidth / sharpest):.0f} times)",
+    )
+
+
+def little_explained(share: float, frequency: float) -> Flag | None:
+    """W533: one harmonic explains only a share of the power of a record."""
+    if share >= HARMONIC:
+        return None
+    return Flag(
+        "W533",
+        Evidence("share of the record that the harmonic explains", float(share), HARMONIC),
+        f"a harmonic of {frequency:.5g} Hz explains {share:.1%} of the record: the rest is noise, another load, or a "
+        "load that is no harmonic",
     )
 
 

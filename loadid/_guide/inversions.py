@@ -120,7 +120,7 @@ def constrained(asked: Asked) -> Outcome:
     if not given:
         load = np.real(np.asarray(e.load))
         figures["negative_share_of_the_load"] = float(np.sum(load[load < 0] ** 2) / max(float(np.sum(load**2)), 1e-300))
-        return Outcome(f"no constraint; {figures['negative_share_of_the_load']:.2%} of the load, squared, pulls",
+        return Outcome(f"no constraint; {figures['negative_share_of_the_load']:.2%} of the load, squared, is negative",
                        figures, _coded(e, ABOUT_CONSTRAINTS))  # fmt: skip
     free = found_by_rule(job, **dict.fromkeys(given))
     moved = float(np.linalg.norm(e.load - free.load) / max(float(np.linalg.norm(free.load)), 1e-300))
@@ -298,7 +298,11 @@ def precomputed(asked: Asked) -> Outcome:
             figures |= {"inverse": name, "shape": list(inverse.matrix.shape)}
             made[asked.folder / name] = _bytes_of(inverse, asked.folder / name)
         return Outcome(
-            f"{said}, {1e6 * each:.3g} us; differs from the estimate by {off:.1e}", figures, (), off < 1e-6, made
+            f"{said}, {1e6 * each:.3g} us; differs from the estimate by {off:.1e} of its size",
+            figures,
+            (),
+            off < 1e-6,
+            made,
         )
     duration = job.responses(job.log).duration if not isinstance(job.log, Mapping) else 0.0
     unfrozen = found_by_rule(job, **{name: frozen[name] for name in ("noise", "noise_source") if name in frozen}).load

@@ -61,8 +61,9 @@ def monitored(asked: Asked) -> Outcome:
         }
         flags = list(guards.collect([*flags, *against]))
         off = [flag for flag in flags if flag.code in CONTRADICTED]
-        said = "no known load: sensors that contradict each other are seen, a gain that all have lost is not"
-        return Outcome(f"{said}; {'something has changed' if off else 'nothing has'}", figures, flags, not off)
+        seen = "sensors contradict each other or the model" if off else "the sensors do not contradict each other"
+        said = f"no known load: {seen}; a gain that all of them have lost would not show"
+        return Outcome(said, figures, flags, not off)
     now = certified(job, record)
     then = asked.latest[VERIFY]
     found = drift(certificate(then), int(then.figures["samples"]), now, len(record))

@@ -133,7 +133,8 @@ def candidates(asked: Asked) -> Outcome:
     }  # fmt: skip
     said = f"{_count(len(model.sensors), 'sensor')}, {_count(len(model.loads), 'candidate load')}"
     if "rank" in told:
-        said += f", rank {told['rank']}, nullity {told['nullity']} on a line"
+        where = "" if asked.job.family == "static" else " at a frequency line"
+        said += f", rank {told['rank']}, nullity {told['nullity']}{where}"
     if (alike := told.get("alike")) is not None:
         figures["told_apart_least"] = {"loads": alike["loads"], "alike": alike["cosine"]}
     if told.get("unseen"):

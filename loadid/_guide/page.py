@@ -16,6 +16,7 @@ from .._page.chart import Chart, Curve
 from .._results.summary import number
 from .ledger import Signature, hashed
 from .recipe import CANDIDATES, STEPS, VALIDATE, VERIFY
+from .standing import BEFORE, relative
 
 if TYPE_CHECKING:
     from .job import Guide, StepStanding
@@ -23,7 +24,11 @@ if TYPE_CHECKING:
 DONE, FAULTY = "signed", ("stale", "does not hold")
 CURVES = "picard"  # figures that are drawn, not listed
 DIGITS = 5
-UNITS = {"_hz": ", Hz", "_per_s": ", 1/s"}  # ends of the names of figures
+UNITS = {"_hz": ", Hz", "_per_s": ", 1/s", "_s": ", s", "_Pa": ", Pa", "_m": ", m"}  # ends of the names of figures
+NAMES = {"m": "readings", "n": "unknowns", "kappa": "condition number", "edf": "effective degrees of freedom",
+         "lam": "relative lambda", "nis": "squared innovation over its variance (NIS), per channel",
+         "nis_by_chance": "NIS by chance"}  # fmt: skip
+MANY = 12  # rows of a table, above which those that say the same stand together
 
 
 def document(guide: Guide) -> str:
@@ -58,7 +63,7 @@ def _answer(standing: Sequence[StepStanding]) -> Html:
              ("stale or failed", str(len(faulty)), ", ".join(str(one.step.number) for one in faulty) or "none"),
              ("not done", str(len(waits)), ", ".join(str(one.step.number) for one in waits) or "none"),
              ("validated to", _level(standing), "step 9")]  # fmt: skip
-    notices = [pages.part("notice", f"Step {one.step.title} {_words(one)}", "", "alert") for one in faulty]
+    notices = [pages.part("notice", text, "", "alert") for text in _faults(faulty)]
     verified = next(one for one in standing if one.step.number == VERIFY)
     if verified.signature is None:
         notices.insert(
@@ -82,6 +87,21 @@ def _level(standing: Sequence[StepStanding]) -> str:
     return str(one.signature.figures.get("level", "nothing")) + (" (disagrees)" if not one.signature.holds else "")
 
 
+def _faults(faulty: Sequence[StepStanding]) -> list[str]:
+    """A sentence for each step that does not stand; those that are stale as the one before them are only named."""
+    led: list[tuple[StepStanding, list[str]]] = []
+    for one in faulty:
+        own = {why for why in one.why if not why.endswith(BEFORE)}
+        if led and one.state == "stale" == led[-1][0].state and own <= set(led[-1][0].why):
+            led[-1][1].append(one.step.title)
+        else:
+            led.append((one, []))
+    return [
+        f"Step {one.step.title} {_words(one)}" + (f" So are those after it: {'; '.join(same)}." if same else "")
+        for one, same in led
+    ]
+
+
 def _words(one: StepStanding) -> str:
     return f"{'is stale' if one.state == 'stale' else one.state}: {'; '.join(one.why)}."
 
@@ -97,8 +117,6 @@ def _job(guide: Guide) -> Html:
 
 
 def _relative(guide: Guide, name: str) -> str:
-    from .standing import relative
-
     return relative(guide.job[name], guide.folder)
 
 
@@ -112,8 +130,8 @@ def _now(guide: Guide, name: str) -> str:
 
 
 def _overview(standing: Sequence[StepStanding]) -> Html:
-    rows = [(str(one.step.number), one.state, f"{one.step.name}{_outcome(one)}") for one in standing]
-    return pages.table(rows, ("", "state", "step and outcome"))
+    rows = [(f"{one.step.number} {one.state}", f"{one.step.name}{_outcome(one)}") for one in standing]
+    return pages.table(rows, ("", "step and outcome"))
 
 
 def _outcome(one: StepStanding) -> str:
@@ -192,10 +210,23 @@ def _nested(tree: Mapping[str, Any]) -> Html:
         return pages.table([(_title(name), _value(value)) for name, value in tree.items()])
     columns = list(dict.fromkeys(key for row in tree.values() for key in row))
     rows = [(name, *(_value(row[key]) if key in row else "" for key in columns)) for name, row in tree.items()]
-    return pages.table(rows, ("", *map(_title, columns)))
+    return pages.table(_together(rows) if len(rows) > MANY else rows, ("", *map(_title, columns)))
+
+
+def _together(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Rows that say the same one after the other as one row, with the first name, the last one and their number."""
+    runs: list[list[tuple[str, ...]]] = []
+    for row in rows:
+        if runs and runs[-1][0][1:] == row[1:]:
+            runs[-1].append(row)
+        else:
+            runs.append([row])
+    return [run[0] if len(run) == 1 else (f"{run[0][0]} to {run[-1][0]} ({len(run)})", *run[0][1:]) for run in runs]
 
 
 def _title(name: str) -> str:
+    if name in NAMES:
+        return NAMES[name]
     end = next((end for end in UNITS if name.endswith(end)), "")
     return name.removesuffix(end).replace("_", " ") + UNITS.get(end, "")
 

@@ -13,6 +13,7 @@ from .._commands._job import FILES, OUTPUTS, written
 from .ledger import Ledger, Signature, hashed
 from .recipe import FREEZE, INVERSE, VERIFY, step
 
+BEFORE = "before it is stale"  # ends a reason that is that of an earlier step
 BESIDE = {"log": ("depth",)}  # files that go with one of a job, where it names them
 
 
@@ -71,7 +72,7 @@ def stale(ledger: Ledger, job: Mapping[str, Any], folder: Path) -> dict[int, lis
     found: dict[int, list[str]] = {}
     for number, one in latest.items():
         reasons = [*_files(one, hashes), *_settings(one, settings_of(number, job, folder)), *_resigned(one, latest)]
-        reasons += [f"step {step(earlier).title} before it is stale" for earlier in list(found)[:1]]
+        reasons += [f"step {step(earlier).title} {BEFORE}" for earlier in list(found)[:1]]
         if reasons:
             found[number] = reasons
     return found

@@ -72,8 +72,8 @@ def replayed(asked: Asked) -> Outcome:
     figures = {"tracker": path.name, "seconds_per_sample": each, "seconds_between_samples": responses.dt,
                "differs_by": off}  # fmt: skip
     said = (
-        f"{1e6 * each:.3g} us a sample of {1e6 * responses.dt:.3g} us; sample by sample it differs from the load of "
-        f"step 7 by {off:.1e}; loadid track --model {path.name} runs it"
+        f"a sample takes {1e6 * each:.3g} us of the {1e6 * responses.dt:.5g} us between two; sample by sample the load "
+        f"differs from that of step 7 by {off:.1e} of its size; loadid track --model {path.name} runs it"
     )
     return Outcome(said, figures, (), off < 1e-6)
 

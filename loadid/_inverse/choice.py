@@ -650,7 +650,11 @@ def residual_level(path: RegularizationPath, lam: float) -> float | None:
 
     None where the fit leaves less than a fifth of the data: what is left then tells of the prior, not of the noise.
     """
-    point = path.at(lam)
-    if point.left is None or float(point.left) < 0.2 * path.m:
+    return shown_level(path.at(lam), path.m)
+
+
+def shown_level(point: PathPoint, m: float) -> float | None:
+    """See `residual_level`, of a point of a path of m data."""
+    if point.left is None or float(point.left) < 0.2 * m:
         return None
     return float(np.sqrt(point.residual2 / point.left))

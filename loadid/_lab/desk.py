@@ -34,6 +34,7 @@ class Desk:
         self._log: Any = None
         self._name = ""
         self._shown: Shown | None = None
+        self._estimates = 0
 
     # -- files --------------------------------------------------------------------------------------------------------
     def read_model(self, path: str | Path) -> dict[str, Any]:
@@ -111,8 +112,9 @@ class Desk:
                              expected="a model, then a log")  # fmt: skip
         chosen = _word(channels, response, "response") if response.strip() else None
         found = identify(log, model, family=family, responses=chosen, **given)
-        shown = Shown(found)
         with self._lock:
+            self._estimates += 1
+            shown = Shown(found, self._estimates)
             if self._log is log:  # nobody has put another there in the meantime
                 self._shown = shown
         return shown.found()

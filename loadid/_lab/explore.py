@@ -6,7 +6,9 @@ import html
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
-from .contract import Call, Page, Real, Whole
+from structures.errors import InputError
+
+from .contract import Call, Page, Real, Reals, Whole
 
 if TYPE_CHECKING:
     from .._results.estimate import LoadEstimate
@@ -14,10 +16,22 @@ if TYPE_CHECKING:
 
 HEIGHT = 900  # px of the frame in a notebook
 LAMBDA = Real(0.0, 1e12)  # relative; 0 is the estimate as it was found
+LOAD = Whole(0, 100_000)
+ESTIMATE = Whole(0, 10**9)
+TOGETHER = 8  # pictures that are made ahead in one call, at most
 
 
 def page_with(shown: Callable[[], Shown], more: dict[str, Call]) -> Page:
     """The page that shows an estimate, and what else it is asked."""
+
+    def of_number(of: int) -> Shown:
+        found = shown()
+        if found.number != of:
+            raise InputError("another load has been found since, in another window", where="lab",
+                             found="an older one", expected="one load at a time",
+                             hint="load this page again, or find the load again")  # fmt: skip
+        return found
+
     return Page(
         "own",
         "Your own data",
@@ -26,9 +40,15 @@ def page_with(shown: Callable[[], Shown], more: dict[str, Call]) -> Page:
         "files/own.html",
         {
             "found": Call(lambda: shown().found()),
-            "picture": Call(lambda lam, load: shown().picture(lam, load), {"lam": LAMBDA, "load": Whole(0, 100_000)}),
-            "at": Call(lambda lam: shown().at(lam), {"lam": LAMBDA}),
-            "save": Call(lambda lam: shown().save(lam), {"lam": LAMBDA}),
+            "picture": Call(
+                lambda of, lam, load: of_number(of).picture(lam, load), {"of": ESTIMATE, "lam": LAMBDA, "load": LOAD}
+            ),
+            "ahead": Call(
+                lambda of, lams, load: of_number(of).ahead(lams, load),
+                {"of": ESTIMATE, "lams": Reals(LAMBDA.low, LAMBDA.high, TOGETHER, 1), "load": LOAD},
+            ),
+            "at": Call(lambda of, lam: of_number(of).at(lam), {"of": ESTIMATE, "lam": LAMBDA}),
+            "save": Call(lambda of, lam: of_number(of).save(lam), {"of": ESTIMATE, "lam": LAMBDA}),
             **more,
         },
     )

@@ -13,6 +13,7 @@ import hashlib
 import hmac
 import json
 import logging
+import os
 import re
 import secrets
 import tempfile
@@ -225,8 +226,11 @@ class _LabHandler(LoopbackHandler):
                     if not piece:
                         raise _Answered(400, f"the file ended {size} bytes before its end")
                     size -= file.write(piece)
-            with one_thread():
-                return call.answer(upload=target, **arguments)
+            try:
+                with one_thread():
+                    return call.answer(upload=target, **arguments)
+            except InputError as error:  # where the file lies meanwhile is nobody's concern
+                raise _Answered(400, str(error).replace(f"{target.parent}{os.sep}", "")) from None
 
     def _length(self, most: int) -> int:
         """Bytes of the body, which are not read before they are known to be few enough."""

@@ -26,10 +26,10 @@ Z95 = 1.959963984540054
 
 
 class Shown:
-    """An estimate, and what was asked of it already."""
+    """An estimate, and what was asked of it already; `number` tells it from others that one lab has shown."""
 
-    def __init__(self, estimate: LoadEstimate) -> None:
-        self.estimate = estimate
+    def __init__(self, estimate: LoadEstimate, number: int = 0) -> None:
+        self.estimate, self.number = estimate, number
         self._at = lru_cache(KEPT)(estimate.at)
         self._drawn = lru_cache(KEPT)(self._picture)
 
@@ -38,7 +38,7 @@ class Shown:
         e = self.estimate
         choice = e.choice
         return {
-            **_answer(e), "loads": list(e.labels), "units": list(e.units),
+            **_answer(e), "of": self.number, "loads": list(e.labels), "units": list(e.units),
             "family": str(e.provenance.get("family", "")),
             "path": str(e.facts.get("path") or ""), "sweep": None if choice is None else _sweep(e),
             "picard": _picard(e), "range": _range(e), "lacks": lacks(e),
@@ -67,6 +67,18 @@ class Shown:
             No such lambda or load.
         """
         return {name: one for name, one in self._drawn(lam, load).items() if name != "x"}
+
+    def ahead(self, lams: list[float], load: int) -> dict[str, Any]:
+        """Make pictures that may be asked for next; says nothing.
+
+        Raises
+        ------
+        InputError
+            No such lambda or load.
+        """
+        for lam in lams:
+            self._drawn(lam, load)
+        return {}
 
     def save(self, lam: float) -> Download:
         """The result file at a lambda, 0 for the estimate as it was found."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from structures.errors import InputError
 
-from .training import BATCH, require_fit
+from .training import BATCH, require_fit, require_model
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,10 @@ def checked(fitted: Any, held_out: Any, progress: Callable[[float, str], None], 
     Raises
     ------
     InputError
-        Other sensors, loads or steps, or the set that it was learned from.
+        Other sensors, loads, steps or model, or the set that it was learned from.
     """
     require_fit(held_out, fitted.model)
+    require_model(held_out, fitted.model)
     if held_out.fingerprint == fitted.facts["training"]:
         raise InputError("the map was learned from this set", where="check", found=held_out.fingerprint[:12],
                          expected="a set of another seed", hint="generate one with another seed")  # fmt: skip

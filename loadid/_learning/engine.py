@@ -31,6 +31,10 @@ class Engine(Protocol):
     def reach(self) -> int:
         """Samples before and after one that its load depends on; 0 of static readings."""
 
+    @property
+    def of_constant(self) -> Array:
+        """What outputs make of readings that are 1 all the time (sensors, outputs), to first order."""
+
     def predict(self, data: Array) -> tuple[Array, Array]:
         """Outputs of readings.
 

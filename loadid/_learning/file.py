@@ -23,7 +23,7 @@ from .outputs import Outputs
 from .training import require_channels
 
 KIND = "learned map"
-VERSION = 1
+VERSION = 2
 
 
 def save(fitted: Any, path: Any) -> None:

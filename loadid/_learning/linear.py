@@ -148,6 +148,12 @@ class LinearEngine:
         return mean, std
 
     @property
+    def of_constant(self) -> Array:
+        """What outputs make of readings that are 1 all the time (sensors, outputs), less those of readings of 0."""
+        B = self.centre.B
+        return np.asarray(B.reshape(-1, self.sensors, B.shape[1]).sum(axis=0))
+
+    @property
     def covariance(self) -> Array:
         """Factor W (k, outputs) of the posterior covariance W^T W: of a static load, or of one sample inside."""
         return self.centre.W

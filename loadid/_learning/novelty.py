@@ -4,6 +4,8 @@
   is shrunk towards that of the noise; `burst` is the same of the worst stretch of a record.
 - outside: power of a record on lines where the examples have hardly any but noise, over what they have there.
 - residual: rms of what the model's response to the map's load leaves of the readings, in noise.
+- offset: mean of that over a record, sensor by sensor over its spread among the examples: a sensor that is off by a
+  constant. Where no response is known, of the readings.
 
 Every score has a limit of its own, such that together they raise `FALSE_ALARMS` on readings like the examples.
 """
@@ -32,8 +34,11 @@ IN_BAND = 3.0  # power over that of the noise, from which a line is in the band 
 TAIL = 0.2  # share of the scores whose excess tells the limit
 HIGH = 0.9  # quantile that tells the spread of a score above its median
 ENOUGH = 60  # rows for each feature
-WORDS = {"distance": "distance of the readings", "burst": "distance of the worst stretch of the record",
-         "outside": "power outside the band", "residual": "residual of the answer over the noise"}  # fmt: skip
+WORDS = {
+    "distance": "distance of the readings", "burst": "distance of the worst stretch of the record",
+    "outside": "power outside the band", "offset": "mean of the residual over the record",
+    "residual": "residual of the answer over the noise",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,8 @@ class Novelty:
         Largest standardised log scores of draws kept apart, ascending, from which limits come.
     samples : int
         Of the records that these were, 0 of static readings.
+    steady : array (sensors,)
+        Rms of the mean of the residual of a record of the examples; empty of static readings.
     """
 
     mean: Array
@@ -96,6 +103,7 @@ class Novelty:
     spread: Mapping[str, float]
     excess: Array
     samples: int
+    steady: Array
 
     @classmethod
     def learn(cls, lesson: Lesson) -> Self:
@@ -115,7 +123,12 @@ class Novelty:
             noise = np.quantile(power, 0.1, axis=0)
             outside = power <= IN_BAND * noise
             floor = float(np.mean(power[outside])) if outside.any() else 1.0
-        return cls(examples.mean[:p], whiten, half, outside, floor, {}, {}, np.zeros(0), lesson.fitting.samples or 0)
+        return cls(examples.mean[:p], whiten, half, outside, floor, {}, {}, np.zeros(0), lesson.fitting.samples or 0,
+                   np.zeros(0))  # fmt: skip
+
+    def settled(self, means: Sequence[Array], samples: int) -> Self:
+        """With the spread of means (sensors,) of residuals of records of `samples`, at least what noise leaves."""
+        return replace(self, steady=np.hypot(np.sqrt(np.mean(np.square(means), axis=0)), samples**-0.5))
 
     def judged(self, scores: Sequence[Mapping[str, float]], samples: int) -> Self:
         """With limits set by the scores of draws that were kept apart, records of `samples` (0: static readings)."""
@@ -146,6 +159,9 @@ class Novelty:
             found = {"distance": float(np.mean(d2)), "burst": float(np.max(runs))}
             if self.outside.any():
                 found["outside"] = float(np.mean(_spectrum(data)[self.outside])) / self.floor
+        if data.ndim == 2 and self.steady.size and len(data) >= self.samples:  # shorter ones scatter by more
+            left = data if residual is None else residual
+            found["offset"] = float(np.sqrt(np.mean((left.mean(axis=0) / self.steady) ** 2)))
         if residual is not None:
             found["residual"] = float(np.sqrt(np.mean(residual**2)))
         return found

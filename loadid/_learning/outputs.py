@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -13,6 +13,7 @@ from structures._model import Model
 from structures.errors import InputError, finite, reals
 
 from .._results.estimate import LoadEstimate
+from .adaptation import Told
 from .novelty import WORDS, Verdict
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ class Outputs:
                     raise InputError("no such resultant", where="more", found=repr(label),
                                      expected=f"one of {list(self.sum_labels)}")  # fmt: skip
             rows = np.array([self.sum_labels.index(label) for label in given])
-            return Known(_finite(list(given.values())), self.sums[rows], self.group_of)
+            return Known(_finite(list(given.values())), self.sums[rows], rows)
         values = _finite(given)
         width = len(self.labels) if self.matrix is None else self.matrix.shape[1]
         if values.ndim == 1 and width == 1 and len(values) > 1:
@@ -98,7 +99,7 @@ class Outputs:
         if values.ndim not in (1, 2) or values.shape[-1] != width:
             raise InputError("the known load does not fit the map", where="more", found=f"shape {values.shape}",
                              expected=f"(..., {width}), or a mapping from resultant to value")  # fmt: skip
-        return Known(values if self.matrix is None else values @ self.matrix.T, None, self.group_of)
+        return Known(values if self.matrix is None else values @ self.matrix.T, None, np.zeros(0, int))
 
     def of_estimate(self, found: LoadEstimate) -> LoadEstimate:
         """An estimate of all loads as one of these outputs."""
@@ -119,65 +120,79 @@ class Known:
         Outputs ([samples,] outputs), or resultants (k,).
     sums : array (k, outputs) or None
         What these resultants are of the outputs.
-    group_of : array of int (outputs,)
+    rows : array of int
+        Which resultants these are.
     """
 
     values: Array
     sums: Array | None
-    group_of: NDArray[np.int_]
+    rows: NDArray[np.int_]
 
     @property
     def any(self) -> bool:
         """Whether a load acts."""
         return bool(np.any(self.values))
 
-    def against(self, mean: Array, std: Array, W: Array | None) -> tuple[Array, Array, Array, NDArray[np.int_]]:
-        """Predicted, std and known numbers, and the group of each, flat.
+    def against(
+        self, mean: Array, std: Array, W: Array | None, together: float, of_sums: Callable[[Array], Array] | None = None
+    ) -> Told:
+        """What is known beside what a map says.
 
         Parameters
         ----------
         mean, std : array (1, [samples,] outputs)
         W : array (k, outputs) or None
             Factor of the covariance of the outputs.
+        together : float
+            Samples that err together.
+        of_sums : callable, optional
+            Std of all resultants, of the std of outputs.
         """
         mean, std = mean[0], std[0]
         if self.sums is None:
-            known = np.broadcast_to(self.values, mean.shape)
-            return mean.ravel(), std.ravel(), known.ravel(), np.broadcast_to(self.group_of, mean.shape).ravel()
-        mean = mean.reshape(-1, mean.shape[-1]).mean(axis=0)
-        error = np.sqrt(self.sums**2 @ std.reshape(-1, std.shape[-1]).mean(axis=0) ** 2)
-        error = error if W is None else np.linalg.norm(W @ self.sums.T, axis=0)
-        largest = [int(self.group_of[int(np.argmax(np.abs(row)))]) for row in self.sums]
-        return self.sums @ mean, error, self.values, np.array(largest)
+            return Told(mean, None, np.broadcast_to(self.values, mean.shape), std, W, together)
+        each = std.reshape(-1, std.shape[-1]).mean(axis=0)
+        if of_sums is not None:
+            error = of_sums(each)[self.rows]
+        else:
+            error = np.sqrt(self.sums**2 @ each**2) if W is None else np.linalg.norm(W @ self.sums.T, axis=0)
+        return Told(mean, self.sums, self.values, error, None, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class StaticPosterior:
-    """Covariance W^T W of a static load, the same in every frame.
+    """Covariance W^T W of a static load, the same in every frame, and errors that all frames share.
 
     Parameters
     ----------
     W : array (k, outputs)
     shape : tuple of int
         Of the load.
+    shared : array ([frames,] j, outputs)
+        Errors of unit std.
     """
 
     W: Array
     shape: tuple[int, ...]
+    shared: Array
 
     def variance(self, w: Array) -> Array:
-        """Of weights (..., [frames,] outputs); frames err independently."""
-        along = np.sum((np.asarray(w, float) @ self.W.T) ** 2, axis=-1)
-        return np.asarray(along if len(self.shape) == 1 else np.sum(along, axis=-1))
+        """Of weights (..., [frames,] outputs); frames err independently but for what they share."""
+        w = np.asarray(w, float)
+        along = np.sum((w @ self.W.T) ** 2, axis=-1)
+        beside = np.einsum("...o,...jo->...j", w, self.shared)
+        if len(self.shape) > 1:
+            along, beside = np.sum(along, axis=-1), np.sum(beside, axis=-2)
+        return np.asarray(along + np.sum(beside**2, axis=-1))
 
     @property
     def std(self) -> Array:
         """Of each load, the shape of the load."""
-        return np.broadcast_to(np.linalg.norm(self.W, axis=0), self.shape)
+        return np.broadcast_to(np.sqrt(np.sum(self.W**2, axis=0) + np.sum(self.shared**2, axis=-2)), self.shape)
 
     def to_arrays(self) -> dict[str, Any]:
         """What a file keeps."""
-        return {"kind": "factor", "W": self.W}
+        return {"kind": "factor", "W": self.W, "shared": self.shared}
 
 
 def _finite(given: Any) -> Array:

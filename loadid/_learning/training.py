@@ -47,6 +47,8 @@ class Training(Protocol):
     def fingerprint(self) -> str: ...
     @property
     def model(self) -> str: ...
+    @property
+    def places(self) -> Array | None: ...
     def __len__(self) -> int: ...
     def batches(self, size: int) -> Iterator[Any]:
         """Examples, at most `size` at once, in the order of their draws."""
@@ -114,7 +116,7 @@ def require_model(training: Training, model: Model) -> None:
     InputError
         It was drawn for another one of the same sensors and loads.
     """
-    if training.model and training.model != model.fingerprint:
+    if training.model and training.model not in (model.fingerprint, model.described):
         raise InputError("the training set was drawn for another model", where="training", found=training.model[:12],
                          expected=model.fingerprint[:12], hint="generate and learn for this model")  # fmt: skip
 

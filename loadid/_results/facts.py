@@ -96,6 +96,8 @@ class Facts(Mapping[str, Any]):
         Bound on the error of solving in windows, over the std.
     frequency, length, time_constant : float
         Of a harmonic load (Hz), of a spatial prior (m), of a settled filter (s).
+    explained : float
+        Of a harmonic load from a record: share of the power of the record, about its mean, that lies at its frequency.
     gap, converged, steps, held
         Of a solver: relative duality gap, whether it met its limit, steps; samples that a sign holds at zero.
     support, mu, support_kappa, knots, amplitude_std_with_neighbours
@@ -155,6 +157,7 @@ class Facts(Mapping[str, Any]):
     noise_kind: str | None = fact(shown=False)
     band: str | None = fact(shown=False)
     frequency: float | None = fact(unit="Hz")
+    explained: float | None = fact("share of the record that the harmonic explains")
     gap: float | None = fact()
     converged: bool | None = fact()
     held: int | None = fact()
@@ -299,6 +302,7 @@ MEANINGS = {
 CUTS = (0.10, 0.30, 0.90)  # expected relative error between the grades
 CONTRADICTED = ("LID-W308", "LID-W318", "LID-W412")  # the data speak against the answer itself
 FEW, MANY = 2.5, 5.0  # degrees of freedom that explain so many times as many readings: a simple load, confirmed
+CHANCE = 0.01  # that noise alone looks as simple
 WHOLE = 0.99  # share of the unknowns that is fitted whole
 SHARES = {"A": "19 of 20", "B": "9 of 10", "C": "9 of 10", "D": "half"}  # of what `MEASURED` states
 
@@ -416,9 +420,31 @@ def grade(estimate: LoadEstimate) -> Grade:
 
 
 def _simple(estimate: LoadEstimate) -> bool:
-    """Whether a few degrees of freedom explain many more readings."""
+    """Whether a few degrees of freedom explain many more readings, and more of them than they explain of noise."""
     edf, m = estimate.facts.edf, estimate.facts.m
     if edf is None or m is None:
         return False
     each = edf / (estimate.facts.frames or 1)
-    return each <= FEW and m >= MANY * each
+    return each <= FEW and m >= MANY * each and _beyond_chance(estimate, max(each, 1.0), float(m))
+
+
+def _beyond_chance(estimate: LoadEstimate, edf: float, m: float) -> bool:
+    """Whether a fit of so many degrees of freedom, per frame, leaves less of m readings than it leaves of white noise.
+
+    Every sensor counts by its own rms, so that units do not matter.
+    """
+    from scipy.special import betaincc
+
+    if estimate.response is None or estimate.residual is None:
+        return False
+    data, rest = (np.abs(np.asarray(part).reshape(-1, np.shape(part)[-1])) for part in
+                  (estimate.response, estimate.residual))  # fmt: skip
+    size = np.sqrt(np.mean(data**2, axis=0))
+    if len(data) == 1:
+        size = np.array([np.sqrt(np.mean(data[0, [v == u for v in estimate.sensor_units]] ** 2))
+                         for u in estimate.sensor_units])  # fmt: skip
+    seen = size > 0
+    if not seen.any():
+        return False
+    left = float(np.sum((rest[:, seen] / size[seen]) ** 2) / np.sum((data[:, seen] / size[seen]) ** 2))
+    return bool(betaincc(edf / 2, max(m - edf, 1.0) / 2, max(1.0 - left, 0.0)) < CHANCE)

@@ -305,6 +305,8 @@ def state(estimate: LoadEstimate) -> str:
     if estimate.choice is not None:
         kind = estimate.choice.source.kind
         parts.append(f"noise level: {'from the residual' if kind in UNSTATED else NOISE.get(kind, kind)}")
+    if estimate.facts.explained is not None:
+        parts.append(f"the harmonic explains {estimate.facts.explained:.1%} of the record")
     if estimate.validation is not None:
         parts.append("validated")
     return "; ".join([*parts, *([allowed(estimate)] if estimate.allowed else [])])

@@ -13,6 +13,10 @@ from structures._model import Model
 from structures.errors import InputError, plain, reals
 
 Places = NDArray[np.float64] | None
+DYNAMIC = (
+    "loadid check --model MODEL.h5 says how well a hit would be found: ask it of a model for each set of sensors "
+    "(loadid calibrate --response, loadid model --sensor)"
+)
 
 
 def of_model(model: Model) -> tuple[Places, Places, Places]:
@@ -153,6 +157,10 @@ def settle(
         No real matrix, NaN, sensors that no load moves, noise or places that do not fit, mixed units without noise.
     """
     if isinstance(given, Model):
+        if not given.gives("static"):
+            raise InputError("layouts are judged by static loads, and this model knows none: it is of hits or FRFs",
+                             where=where, found=type(given).__name__, expected="a model that gives static()",
+                             hint=DYNAMIC)  # fmt: skip
         H = np.asarray(given.static(), float)
         labels, units = tuple(s.label for s in given.sensors), tuple(s.unit for s in given.sensors)
         names, load_units = tuple(c.label for c in given.loads), tuple(c.unit for c in given.loads)
@@ -279,7 +287,8 @@ def expected(sets: Sequence[CandidateSensors], amplitude: ArrayLike | None, snr:
     if not np.any(rows):
         raise InputError(
             "no load moves any sensor", where=where, found="a transfer matrix of zeros", expected="some response",
-            hint="accelerometers and AC-coupled sensors see no static load",
+            hint=f"layouts are judged by static loads, which accelerometers and AC-coupled sensors do not see; "
+            f"{DYNAMIC}",
         )  # fmt: skip
     if amplitude is not None:
         if snr is not None or any(c.noise is None for c in sets):

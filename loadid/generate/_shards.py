@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from structures._channels import Channel
 from structures.errors import InputError
@@ -42,6 +43,8 @@ class SetHead:
         As plain data.
     model : str
         Fingerprint of the model of the inverse; empty where it is not known.
+    places : array (n, 2), optional
+        Where what is read lies (m), for sensors that are found anew.
     """
 
     fingerprint: str
@@ -55,6 +58,7 @@ class SetHead:
     samples: int | None = None
     declaration: Mapping[str, Any] = field(default_factory=dict)
     model: str = ""
+    places: NDArray[np.float64] | None = None
 
     @property
     def shards(self) -> int:
@@ -73,7 +77,7 @@ def write_head(folder: Path, head: SetHead) -> None:
         "version": VERSION, "fingerprint": head.fingerprint, "draws": head.draws, "shard": head.shard,
         "seed": head.seed, "sensors": _columns(head.sensors), "loads": _columns(head.loads),
         "kinds": list(head.kinds), "dt": head.dt, "samples": head.samples, "declaration": dict(head.declaration),
-        "model": head.model,
+        "model": head.model, "places": head.places,
     }  # fmt: skip
     _storage.write(folder / HEAD, tree, KIND)
 

@@ -174,6 +174,11 @@ class TrainingSet:
         return self.head.model
 
     @property
+    def places(self) -> NDArray[np.float64] | None:
+        """Where what is read lies (n, 2) in m, for sensors that are found anew; None where it is not told."""
+        return self.head.places
+
+    @property
     def declaration(self) -> Mapping[str, Any]:
         """What was declared, as plain data."""
         return self.head.declaration

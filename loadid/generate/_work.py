@@ -58,7 +58,7 @@ class DrawMaker(Protocol):
     """What draws: an object that can be pickled, whose draws depend on the numbers it is given alone.
 
     One that has `inverse`, the fingerprint of the model of the inverse, makes sets that no map of another model learns
-    from.
+    from; one that has `markers_at` (n, 2), the places of markers in m, sets for sensors that find these anew.
     """
 
     @property
@@ -148,6 +148,7 @@ def head_of(maker: DrawMaker, draws: int, seed: int) -> SetHead:
     return SetHead(
         mark, integer("draws", draws, where="draws", limit=10**9), SHARD, number, maker.sensors, maker.loads,
         maker.kinds, maker.dt, maker.samples, told, str(getattr(maker, "inverse", "")),
+        getattr(maker, "markers_at", None),
     )  # fmt: skip
 
 

@@ -171,7 +171,9 @@ class DistributionCheck:
         )
         if self.peak_distance:
             where += f", {self.peak_distance:.3g} {self.distance_unit} away".rstrip()
-        text = f"{self.what}: error {self.error:.1%}, peak {self.peak_error:+.1%} {where}; {self.verdict}"
+        ratio = self.peak / self.reference_peak
+        peak = f"{abs(ratio) - 1:+.1%}" + ("" if ratio > 0 else ", with the other sign,")
+        text = f"{self.what}: error {self.error:.1%}, peak {peak} {where}; {self.verdict}"
         return text if self.band is None else f"{text}; the {self.level:.0%} band holds {self.band:.1%}"
 
 

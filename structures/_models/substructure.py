@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -110,7 +111,7 @@ def reduce(
     ------
     InputError
         Without mass, an unknown or supported DOF, a band that is none or holds more than 2000 modes; kept degrees of
-        freedom that do not hold the structure (Craig-Bampton).
+        freedom that do not hold the structure (Craig-Bampton); a structure whose factor would not fit the memory.
 
     Notes
     -----
@@ -123,7 +124,7 @@ def reduce(
     one_of("no such method", method, METHODS, where="reduce", hint="modes is the default")
     say = progress or _silent
     rows = _rows(structure, keep)
-    say(f"factorising {structure.free.size} DOFs")
+    _affordable(structure, say)
     pencil = _pencil(structure, band)
     B = np.zeros((structure.free.size, len(rows)))
     B[rows, np.arange(len(rows))] = 1.0
@@ -149,6 +150,33 @@ def reduce(
     frequencies = np.sqrt(np.maximum(lam, 0.0)) / (2 * np.pi)
     frequencies[:rigid] = 0.0
     return ReducedStructure(small, tuple(small.dofs[: len(rows)]), band, frequencies, method, projection)
+
+
+def _affordable(structure: Structure, say: Callable[[str], None]) -> None:
+    """Refuse a factor that the memory of the machine does not hold, before it is begun."""
+    found = structure.elimination
+    if found is None:
+        say(f"factorising {structure.free.size} DOFs")
+        return
+    say(f"factorising {structure.free.size} DOFs, about {found.memory / 1e9:.1f} GB")
+    there = machine_memory()
+    if there is not None and found.memory > there:
+        raise InputError(
+            "the factor of this structure does not fit the memory",
+            where="reduce",
+            found=f"about {found.memory / 1e9:.1f} GB for {structure.free.size} DOFs",
+            expected=f"at most the {there / 1e9:.1f} GB of this machine",
+            hint="what is compact fills in most: export a reduced model (Craig-Bampton, or modes) from the solver that "
+            "made it, coarsen the mesh, or use a larger machine",
+        )
+
+
+def machine_memory() -> float | None:
+    """Bytes of memory of the machine; None where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, OSError, ValueError):
+        return None
 
 
 def _silent(_: str) -> None:

@@ -107,7 +107,8 @@ class Factor:
             _check(self.K)
         try:
             symmetric = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-            lu = SparseLU(self.K, None if structure is None else structure.elimination, **symmetric)
+            found = None if structure is None else structure.elimination
+            lu = SparseLU(self.K, None if found is None else found.order, **symmetric)
         except RuntimeError:  # an exactly zero pivot
             lu = None
         if lu is None or (check and not np.iscomplexobj(self.K)):

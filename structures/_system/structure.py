@@ -18,7 +18,7 @@ from .._readonly import ReadOnly
 from ..errors import InputError, finite, one_of, plain, positive
 from . import checks
 from .damping import Damping, Rayleigh, settled
-from .dissection import order_of
+from .dissection import Elimination, elimination_of
 from .fields import field_of, one_place
 
 if TYPE_CHECKING:
@@ -178,9 +178,9 @@ class Structure(ReadOnly):
         return np.setdiff1d(np.arange(self.n), self.supported)
 
     @cached_property
-    def elimination(self) -> NDArray[np.intp] | None:
+    def elimination(self) -> Elimination | None:
         """Order in which the free DOFs of a large structure are eliminated; None where the solver finds one."""
-        return order_of(self)
+        return elimination_of(self)
 
     # -- matrices of the free DOFs --------------------------------------------------------------------------------
     def _on_free(self, matrix: sparse.csr_array) -> sparse.csr_array:

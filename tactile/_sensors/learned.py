@@ -2,6 +2,10 @@
 
 The band of the resultant is calibrated beside that of the nodes, on the draws that were kept apart: errors of nodes are
 not independent, so that sums of them cannot be told from their stds.
+
+Motion does not tell the modulus, so that no alarm and no calibration on a set of one gel sees another one. What the
+gel's tolerances do to a load is known to first order: tractions of the same motion are as large as the modulus; with
+another nu or thickness the readings of a load change, and with them what the map makes of these. All nodes share that.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from structures.errors import InputError
 
 from .._arrays import Array, Index, Mask
 from .._results.forcemap import ForceFacts, ForceMap
+from .gaussian import ModelError
 from .linear import LinearSensor
 from .marked import MarkedSensor
 from .observation import DepthMap, Wrench
@@ -34,24 +39,30 @@ MOST_LOST = 0.1  # share of the readings that neighbours stand in for
 NEAR = 0.35  # of the distance of markers, within which a marker is the one that the map knows
 AROUND = 4  # neighbours
 Z95 = 1.959964
+AXES = ("Fx", "Fy", "Fz")
 
 
 class SeenModel(PadModel):
     """The transfer matrix of a sensor, known by what is pressed and what is read, not by its last digit.
 
     Markers are found anew in every reference image: a map holds for all that lie where its own do (`matched`).
+
+    Parameters
+    ----------
+    sensor : LinearSensor
+    rows : array of int, optional
+        Its readings in the order of a map.
     """
 
-    def __init__(self, sensor: LinearSensor) -> None:
+    def __init__(self, sensor: LinearSensor, rows: Index | None = None) -> None:
         model = sensor.model
-        super().__init__(model.H, model.sensors, model.loads, model.basis, model.flags)
-        rows = f"{len(sensor.markers)} markers in {sensor.markers.axes}, {len(model.sensors)} readings"
-        self._known = f"{sensor.pressed_body.body!r}, {rows}"
+        H = model.H if rows is None else model.H[rows]
+        super().__init__(H, model.sensors, model.loads, model.basis, model.flags, model.described)
 
     @property
     def fingerprint(self) -> str:
         """What is pressed and read, in words."""
-        return self._known
+        return self.described
 
 
 class LearnedSensor(MarkedSensor):
@@ -76,11 +87,11 @@ class LearnedSensor(MarkedSensor):
 
     def __init__(self, sensor: LinearSensor, fitted: FittedMap) -> None:
         super().__init__(sensor.markers, sensor.eye, sensor.depth, sensor.contact)
-        self.sensor, self.fitted = sensor, fitted
         if "markers" not in fitted.facts:
             raise InputError("this map was not learned for a tactile sensor", where="LearnedSensor",
                              expected="one that LearnedSensor.fit made", hint="fit it through this class")  # fmt: skip
-        self._order = matched(np.asarray(fitted.facts["markers"], float), sensor.markers.points[:, :2])
+        self._columns = columns_of(sensor, fitted.facts["markers"])
+        self.sensor, self.fitted = sensor, replace(fitted, model=SeenModel(sensor, self._columns))
         self.offset = sensor.offset
 
     def __repr__(self) -> str:
@@ -115,13 +126,15 @@ class LearnedSensor(MarkedSensor):
         Raises
         ------
         InputError
-            As `loadid.LearnedMap.fit`.
+            As `loadid.LearnedMap.fit`; presses drawn for another pad, or for markers that lie elsewhere.
         """
-        learning = LearnedMap(SeenModel(sensor), engine=engine, seed=seed, progress=progress)
+        markers = sensor.markers.points[:, :2] if training.places is None else training.places
+        model = SeenModel(sensor, columns_of(sensor, markers))
+        learning = LearnedMap(model, engine=engine, seed=seed, progress=progress)
         own = {"places": sensor.geometry["coordinates"][sensor.kept[::3] // 3], "seed": seed}
         fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
-        facts = {**fitted.facts, "markers": sensor.markers.points[:, :2], "resultant": band.tree()}
+        facts = {**fitted.facts, "markers": markers, "resultant": band.tree()}
         return cls(sensor, replace(fitted, facts=facts))
 
     @classmethod
@@ -174,19 +187,55 @@ class LearnedSensor(MarkedSensor):
         lost = ~np.isfinite(y)
         if wrench is not None or lost.mean() > MOST_LOST:
             return self._by_physics(y, flags, wrench, None)
-        told = self.fitted.predict(self._whole(y, lost)[self._columns][None])
+        seen = self._whole(y, lost)[self._columns]
+        told = self.fitted.predict(seen[None])
         verdict = told.verdicts[0]
         if verdict.alarm:
             return self._by_physics(y, flags, None, verdict)
-        load, std = told.mean[0], told.std[0]
+        load, own = told.mean[0], told.own[0]
+        shared = np.vstack([told.shared[0], *self._other_gels(seen, load)])
+        std = np.hypot(own, np.linalg.norm(shared, axis=0))
         facts = ForceFacts.of({
             "m": int(np.sum(~lost)), "n": len(load), "lost": int(lost.sum()), "novelty": verdict.value,
             "novelty_by": words(verdict), "answered_by": self.name, "engine": self.fitted.engine.name,
             "provided": self.sensor.provided(self.depth is not None),
-            "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}",
+            "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}{self._known}",
         })  # fmt: skip
-        covariance = self._band.covariance(std, self.sensor.resultant)
-        return self.sensor.answered(load, std, covariance, facts, flags=flags, provenance=self._about)
+        sums = shared @ self.sensor.resultant.T
+        covariance = self._band.covariance(own, self.sensor.resultant) + sums.T @ sums
+        told_by_set = (*flags, *self.fitted.span_flags)
+        return self.sensor.answered(load, std, covariance, facts, flags=told_by_set, provenance=self._about)
+
+    def adapted(
+        self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None, *, wrenches: Sequence[Wrench]
+    ) -> LearnedSensor:
+        """The sensor with a gain for each direction, told by presses of known force; its error is in the band.
+
+        Parameters
+        ----------
+        frames, depths : sequence
+            As `estimate` takes them.
+        wrenches : sequence of Wrench
+            Of each frame, by a force sensor or weights; taken as exact.
+
+        Raises
+        ------
+        InputError
+            Wrenches that do not go with the frames, or a sensor whose loads are a part of its surface.
+        """
+        listed = self._listed(frames, depths)
+        if not frames or len(listed) != len(wrenches) or len(listed) != len(frames):
+            raise InputError("the wrenches do not go with the frames", where="adapted, wrenches",
+                             found=f"{len(wrenches)} of {len(listed)} frames", expected="one for each")  # fmt: skip
+        return self.adapted_to(listed, wrenches)
+
+    def adapted_to(self, readings: Sequence[Array], wrenches: Sequence[Wrench]) -> LearnedSensor:
+        """As `adapted`, of readings (m,), NaN where one is lost."""
+        more = [(self._whole(y, ~np.isfinite(y))[self._columns], dict(zip(AXES, map(float, w.force), strict=True)))
+                for y, w in zip(readings, wrenches, strict=True)]  # fmt: skip
+        R, band = self.sensor.resultant, self._band
+        fitted = self.fitted.adapted(more, of_sums=lambda std: np.sqrt(np.diag(band.covariance(std, R))))
+        return type(self)(self.sensor, fitted)
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
         """Take the mean of unloaded frames as zero. Returns the sensor.
@@ -204,6 +253,34 @@ class LearnedSensor(MarkedSensor):
     def _gel(self) -> Any:
         body = self.sensor.pressed_body.body
         return body if self.sensor.thickness is not None and hasattr(body, "material") else None
+
+    def _other_gels(self, seen: Array, load: Array) -> list[Array]:
+        """What a gel that is one std of each tolerance off does to a load (n,) of readings of the map (m,)."""
+        found = [error.change[self._columns] @ load for error in self._tolerated]
+        moved = self.fitted.mean(seen - np.array(found)) if found else np.zeros((0, len(load)))
+        by_E = [self._stiffness * load] if self._stiffness else []
+        return [*by_E, *(load - moved)]
+
+    @cached_property
+    def _tolerated(self) -> list[ModelError]:
+        """Errors of the readings within the tolerances of nu and thickness."""
+        tolerances = self.sensor.pressed_body.tolerances
+        if not (tolerances.nu or tolerances.thickness):
+            return []
+        return [error for error in self.sensor.model_errors() if error.name in ("nu", "thickness")]
+
+    @property
+    def _stiffness(self) -> float:
+        """Tolerance of the modulus, where no known force told it."""
+        return 0.0 if self.fitted.adaptation.records else self.sensor.pressed_body.tolerances.E
+
+    @cached_property
+    def _known(self) -> str:
+        """How well the gel is known, in words."""
+        tolerances = self.sensor.pressed_body.tolerances
+        told = {"E": self._stiffness, "nu": tolerances.nu, "thickness": tolerances.thickness}
+        said = [f"{name} {value:.3g}" for name, value in told.items() if value]
+        return f"; std of the gel, {', '.join(said)}" if said else ""
 
     def _by_physics(self, y: Array, flags: Sequence[Flag | None], wrench: Wrench | None, verdict: Any) -> ForceMap:
         """The sensor's own map, and why."""
@@ -236,13 +313,6 @@ class LearnedSensor(MarkedSensor):
                 near = cKDTree(places[~gone]).query(places[gone], k=min(AROUND, int(np.sum(~gone))))[1]
                 values[gone] = values[~gone][near].reshape(int(gone.sum()), -1).mean(axis=1)
         return filled
-
-    @cached_property
-    def _columns(self) -> Index:
-        """Of the readings of this sensor, those of the map in its order."""
-        axes, count = len(self.markers.axes), self.markers.readings_count
-        marked = (axes * self._order[:, None] + np.arange(axes)).ravel()
-        return np.concatenate([marked, np.arange(count, len(self.offset))])
 
     @cached_property
     def _band(self) -> ResultantBand:
@@ -301,6 +371,20 @@ class ResultantBand:
 def _alone(std: Array, resultant: Array) -> Array:
     """Std of resultants (..., 6) if the loads (..., n) erred independently."""
     return np.sqrt(np.asarray(std) ** 2 @ (resultant**2).T)
+
+
+def columns_of(sensor: LinearSensor, markers: ArrayLike) -> Index:
+    """Of the readings of a sensor, those of a map of `markers` (N, 2) in its order.
+
+    Raises
+    ------
+    InputError
+        The markers lie elsewhere.
+    """
+    axes, count = len(sensor.markers.axes), sensor.markers.readings_count
+    order = matched(np.asarray(markers, float), sensor.markers.points[:, :2])
+    marked = (axes * order[:, None] + np.arange(axes)).ravel()
+    return np.concatenate([marked, np.arange(count, len(sensor.model.sensors))])
 
 
 def matched(known: Array, places: Array) -> Index:

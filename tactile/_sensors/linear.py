@@ -80,7 +80,7 @@ class PressedBody:
     `transfer` takes points (n, 2 or 3) and a function that combines rows of their motion, and returns the rows (rows,
     loads); `geometry` is as `tactile._sensors.posing` makes it; thickness in m, None for a half-space; `basis` is for
     penalties between neighbours, `flags` what was found of the body, `about` goes into the provenance; `errors` takes
-    the transfer matrix and its parts and gives what the model may be wrong by.
+    the transfer matrix and its parts and gives what the model may be wrong by, some of it within `tolerances`.
     """
 
     body: Any
@@ -91,6 +91,7 @@ class PressedBody:
     flags: Sequence[Flag] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
     errors: Callable[[Array, Sequence[Any]], Sequence[ModelError]] = exact
+    tolerances: Tolerances = Tolerances()  # noqa: RUF009  (frozen)
 
 
 class LinearSensor(MarkedSensor):
@@ -141,15 +142,17 @@ class LinearSensor(MarkedSensor):
             penalty, basis = cut(penalty, basis, kept), None
             H, resultant = H[:, kept], resultant[:, kept]
         self.resultant = resultant
-        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags)
+        told = f"{body.body!r}, {len(self.markers)} markers in {self.markers.axes}, {len(sensors)} readings"
+        self.model = PadModel(H, sensors, [self.loads[i] for i in self.kept], basis, body.flags, told)
         self.prior = penalty if isinstance(penalty, ContactPrior) else None
+        self.model_errors = Errors(partial(body.errors, whole, parts), columns=self.kept)
         self.problem: GaussianProblem | None = None
         if self.prior is None:
             self.family = StaticInversion(
                 self.model, penalty=penalty, choice=choice, noise=Noise(source=noise_source), allow=list(allow)
             )
         else:
-            self.problem = self._posed(self.prior, image, partial(body.errors, whole, parts))
+            self.problem = self._posed(self.prior, image)
             self.family = self.problem.family(choice, noise_source, allow)
         self._quick: dict[bool, QuickMap] = {}
         self._scaled: dict[int, QuickMap] = {}
@@ -161,17 +164,14 @@ class LinearSensor(MarkedSensor):
         rows, loads = self.model.H.shape
         return f"<{type(self).__name__}: {len(self.markers)} markers, {rows} readings, {loads} loads>"
 
-    def _posed(
-        self, prior: ContactPrior, image: ImageMotion | None, errors: Callable[[], Sequence[ModelError]]
-    ) -> GaussianProblem:
+    def _posed(self, prior: ContactPrior, image: ImageMotion | None) -> GaussianProblem:
         """The problem of all readings under a contact prior."""
         places = self.geometry["coordinates"][self.kept[::3] // 3]
 
         return GaussianProblem(
             self.model.H, self.model.sensors, np.array([s.noise for s in self.model.sensors], float),
             prior.on(places, self._thick), None if image is None else image.over(self.markers, self.depth),
-            Errors(errors, columns=self.kept),
-            self.resultant, around(places, AROUND * self._thick),
+            self.model_errors, self.resultant, around(places, AROUND * self._thick),
         )  # fmt: skip
 
     # -- doing --------------------------------------------------------------------------------------------------------
@@ -629,7 +629,8 @@ class MultilayerPad(LinearSensor):
         contact prior.
     tolerances : Tolerances
         How well modulus, Poisson's ratio and thickness of the pad are known; in the band under a contact prior, as is
-        the error of the mesh. One frame does not tell them, and markers in the plane flag no wrong thickness.
+        the error of the mesh, and in that of a `LearnedSensor`. One frame does not tell them, and markers in the plane
+        flag no wrong thickness.
     penalty, choice, noise_source, contact, allow
         See `tactile._sensors.marked.InversionSettings`; the penalty is a `ContactPrior` where none is given.
 
@@ -663,7 +664,7 @@ class MultilayerPad(LinearSensor):
         given = observed(markers, eye)
         about = {"pad": repr(pad), "markers": len(given)}
         body = PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags, about,
-                           partial(errors, pad, tolerances, mass))  # fmt: skip
+                           partial(errors, pad, tolerances, mass), tolerances)  # fmt: skip
         deep = None if depth is None else windows(pad, depth, depth_width)
         with alone(3 * pad.points):
             super().__init__(body, given, eye=eye, depth=deep, image=image, **settings)

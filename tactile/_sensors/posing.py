@@ -295,13 +295,22 @@ def _with_rule(family: StaticInversion, rule: Any) -> StaticInversion:
 
 
 class PadModel(MatrixModel):
-    """A transfer matrix on the surface of a pad, with the basis of its loads where there is one."""
+    """A transfer matrix on the surface of a pad, with the basis of its loads where there is one.
+
+    `words` say what is pressed and read: a training set that was drawn for it says the same.
+    """
 
     def __init__(
-        self, H: Array, sensors: Sequence[Any], loads: Sequence[Any], basis: Any, flags: Sequence[Flag]
-    ) -> None:
+        self, H: Array, sensors: Sequence[Any], loads: Sequence[Any], basis: Any, flags: Sequence[Flag],
+        words: str = "",
+    ) -> None:  # fmt: skip
         super().__init__(H, sensors=sensors, loads=loads)
-        self.basis, self.flags = basis, tuple(flags)
+        self.basis, self.flags, self._words = basis, tuple(flags), words
+
+    @property
+    def described(self) -> str:
+        """What is pressed and read, in words."""
+        return self._words
 
 
 def cut(penalty: Any, basis: Any, kept: Index) -> Any:

@@ -60,6 +60,7 @@ class PressMaker:
             raise InputError("pads of the truth have their own thickness and nu", where="presses, truth",
                              found="ranges of [gel]", expected="E alone",
                              hint="give several pads: each press takes one of them")  # fmt: skip
+        self.inverse, self.markers_at = sensor.model.described, sensor.markers.points[:, :2]
         self.sensors = (*self.markers.channels, *([] if self.depth is None else self.depth.channels))
         self.loads = tuple(sensor.loads)
         self._ranges(declared)

@@ -1,9 +1,9 @@
 """How fast the lab answers in a browser, what it sends, and whether random bodies ever get through.
 
 ``python -m tests.benchmarks.lab``: time from the start of the command to its address; for each page first paint,
-until it can be used, from the input of a slider to the next frame after the new numbers are drawn (p50, p95 of 30), and
-kB over the wire, once open and with 30 moves of its first slider. ``python -m tests.benchmarks.lab fuzz [COUNT]``:
-random bodies (10 000) for every call.
+until it can be used, from the input of a slider to the next frame after the new numbers are drawn (p50, p95 of 30;
+where a page makes answers ahead, when it has), and kB over the wire, once open and with 30 moves of its first slider.
+``python -m tests.benchmarks.lab fuzz [COUNT]``: random bodies (10 000) for every call.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from tests.lab_pages.client import requested
 from tests.lab_pages.fuzz import accepted, bodies
 
 SLIDERS = {"contact": ("lam", "t", "eta", "spacing"), "lcurve": ("lam",)}
+AHEAD = ("gelpad", "own")  # pages that make the answers at the stops of their slider while nothing is to do
 STEPS = 30
 MOVED = """([id, value]) => new Promise(done => {
   const slider = document.getElementById(id), root = document.documentElement, before = Number(root.dataset.drawn);
@@ -40,6 +41,13 @@ MOVED = """([id, value]) => new Promise(done => {
 })"""
 
 
+def waited(page: Any, expression: str, seconds: float = 60) -> None:
+    """Until it is true."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression) and time.monotonic() < end:
+        time.sleep(0.01)
+
+
 def started() -> float:
     """Seconds from the start of `loadid lab` to the line with its address."""
     loadid = Path(sys.executable).with_name("loadid")
@@ -52,8 +60,11 @@ def started() -> float:
     return found
 
 
-def visited(browser: Any, lab: Lab, name: str) -> list[tuple[str, ...]]:
-    """Rows of one page: paint and use, then each slider."""
+def visited(browser: Any, lab: Lab, name: str, first: str = "") -> list[tuple[str, ...]]:
+    """Rows of one page: paint and use, then each slider.
+
+    `first` is a box to be ticked before: usable is then when the answers at all stops of the slider are made ahead.
+    """
     context = browser.new_context(viewport={"width": 1200, "height": 900})
     page, sizes, wrong = context.new_page(), [0, 0], []
 
@@ -74,6 +85,13 @@ def visited(browser: Any, lab: Lab, name: str) -> list[tuple[str, ...]]:
     usable = 1e3 * (time.perf_counter() - begin)
     paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? NaN")
     page.wait_for_timeout(3000)
+    if name in AHEAD:
+        waited(page, "document.documentElement.dataset.ahead !== undefined")
+    if first:
+        page.check(f"[name={first}]")
+        begin = time.perf_counter()
+        waited(page, f"(document.documentElement.dataset.ahead ?? '').includes('{first}\":true')")
+        usable = 1e3 * (time.perf_counter() - begin)
     opened, used, rows = sizes[1], 0, []
     for slider in SLIDERS.get(name, ()):
         ends = [float(page.get_attribute(f"#{slider}", end) or 0) for end in ("min", "max")]

@@ -1,8 +1,9 @@
 """How fast the gel pad and an estimate that explores itself answer in a browser, and what they send.
 
-``python -m tests.benchmarks.lab_pages``: the table of `tests.benchmarks.lab` for the noise of the gel pad, and
-for lambda of the hit of ``loadid demo`` (6000 samples) and of `loadid.datasets.impact` (400), both over states; then
-CPU ms of the answer alone, without HTTP and browser.
+``python -m tests.benchmarks.lab_pages``: the table of `tests.benchmarks.lab` for the noise of the gel pad (with a ridge
+usable is when its answers at all noises have been made ahead, after the tick), and for lambda of the hit of
+``loadid demo`` (6000 samples) and of `loadid.datasets.impact` (400), both over states; then CPU ms of the answer alone,
+without HTTP and browser.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def main() -> None:
     state = {"model": None, "log": None, "found": True, "given": True}
     with chromium() as browser:
         with Lab([gelpad]) as lab:
-            rows += [("gel pad", *row) for row in base.visited(browser, lab, "gelpad")]
+            for name, first in (("gel pad, multiplied", ""), ("gel pad, with a ridge", "ridge")):
+                rows += [(name, *row) for row in base.visited(browser, lab, "gelpad", first)]
         for name, one in estimates.items():
             page = page_with(lambda one=one: one, {"state": Call(lambda: state)})  # type: ignore[misc]
             with Lab([page]) as lab:

@@ -105,7 +105,7 @@ def order(kind: str, *cells: int) -> None:
     options = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     for name in ("nested dissection", "minimum degree"):
         started = time.process_time()
-        p = structure.elimination if name.startswith("nested") else None
+        p = structure.elimination.order if name.startswith("nested") else None
         ordered = time.process_time() - started
         A, spec = (K, "MMD_AT_PLUS_A") if p is None else (K[p][:, p].tocsc(), "NATURAL")
         lu = splu(A, permc_spec=spec, **options)

@@ -52,9 +52,42 @@ def test_a_record_at_rest_keeps_its_numbers():
         tracker.reset()
         once = tracker.track(y)
         tracker.reset()
-        rows = np.array([tracker.step(row) for row in y])  # asks nothing of the start
+        rows = np.array([tracker.step(row) for row in y])
         np.testing.assert_array_equal(once.load, rows[:, 0])
         assert N532 not in [f.code for f in (*once.flags, *tracker.smooth(y).flags)]
+
+
+@pytest.mark.parametrize("pieces", [[1] * 400, [2, 1, 97, 300], [3, 397]], ids=["rows", "blocks", "two blocks"])
+def test_samples_one_by_one_begin_as_a_record_does(pieces):
+    """Whatever the blocks: after five samples state and answers are those of one block, and N532 is told."""
+    for seed in range(3):
+        tracker, y, load = tracked(seed, 400)
+        tracker.reset()
+        once = tracker.track(y)
+        tracker.reset()
+        found, start = [], 0
+        for count in pieces:
+            part = y[start : start + count]
+            found.append(tracker.step(part[0])[0][None] if count == 1 else tracker.run(part)[0])
+            start += count
+        found = np.vstack(found)
+        assert N532 in [f.code for f in tracker.alarms]
+        np.testing.assert_array_equal(found[5:], once.load[5:])
+        assert tracker.counts["samples"] == 400
+        first = [np.sqrt(np.mean((part - load)[:5] ** 2)) for part in (found, once.load)]
+        assert first[0] < 1.2 * first[1]
+
+
+def test_a_tracker_saved_within_its_first_samples_goes_on(tmp_path):
+    tracker, y, _ = tracked(0, 400)
+    tracker.reset()
+    whole = np.array([tracker.step(row)[0] for row in y[:40]])
+    tracker.reset()
+    for row in y[:2]:
+        tracker.step(row)
+    tracker.save(tmp_path / "t.h5")
+    again = type(tracker).load(tmp_path / "t.h5")
+    np.testing.assert_array_equal(np.array([again.step(row)[0] for row in y[2:40]]), whole[2:])
 
 
 def test_a_start_that_is_stated_is_kept():

@@ -226,7 +226,7 @@ def test_the_object_needs_the_mathematics_alone_and_keeps_nothing(roof: Case, tm
     listed = [line.split() for line in said.splitlines()]
     asked = {words[-1].lstrip("_") for words in listed if words[-2] == "U"}
     assert asked <= {"memset", "memcpy", "memmove", "stack_chk_fail", "GLOBAL_OFFSET_TABLE_", "sqrtf", "logf", "expf"}
-    assert {words[-1] for words in listed if words[-2] == "T"} == {"roof_reset", "roof_step"}
+    assert {words[-1] for words in listed if words[-2] == "T"} == {"roof_reset", "roof_reset_moving", "roof_step"}
     assert not [words for words in listed if words[-2] in "bBdDcC"]
 
 
@@ -317,3 +317,21 @@ def test_other_things_that_cannot_be(roof: Case, tmp_path: Path) -> None:
 
 def test_the_flags_are_those_that_compilers_of_controllers_complain_with() -> None:
     assert {"-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-std=c99"} <= set(STRICT)
+
+
+@needs_compiler
+def test_a_start_in_motion_is_that_of_python(tmp_path: Path) -> None:
+    """From a record cut in the middle of a longer one: the tracker finds such a start itself, the C is told of it."""
+    case, tracker = building()
+    cut = case.y[777:1200]
+    controller = compiled(tracker, tmp_path)
+    from_rest = controller.run(cut)
+    controller.reset(moving=True)
+    load, std, _ = controller.run(cut)
+    tracker = alone(tracker)
+    other = tracker.run(cut)
+    assert tracker._start is not None
+    assert tracker._start.wider == 1.0
+    agree((load, std), other[:2])
+    off = [float(np.abs(one - case.load[777:787])[:10].max()) for one in (load[:10], from_rest[0][:10])]
+    assert off[0] < 0.7 * off[1]

@@ -17,6 +17,7 @@ from loadid.codes import GUARDS, explained
 from structures import Flag
 from structures._flags import Evidence, table
 
+from ..families import test_amplitudes
 from ..sources import PACKAGES, called, modules, parsed, walked
 from . import (
     page,
@@ -45,7 +46,7 @@ __all__ = ["folder"]  # where the files of some cases go
 CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *test_sparse.CASES, *test_spacetime.CASES]
 CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES, *test_tactile.CASES]
 CASES += [*test_modes.CASES, *test_offsets.CASES, *test_unexplained.CASES, *test_faults.CASES]
-CASES += [*test_vibration.CASES, *test_not_told.CASES, *test_learned.CASES]
+CASES += [*test_amplitudes.CASES, *test_vibration.CASES, *test_not_told.CASES, *test_learned.CASES]
 FIRST = {case.code: case for case in reversed(CASES)}
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure

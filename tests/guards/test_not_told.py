@@ -5,19 +5,33 @@ Levels were set on other seeds than those of these tests; truths come from a fin
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, FrequencyInversion, HarmonicInversion, LoadEstimate, Spectra, StaticInversion
+from loadid import (
+    Deconvolution,
+    FrequencyInversion,
+    HarmonicInversion,
+    LoadEstimate,
+    NotIdentifiable,
+    Penalty,
+    Record,
+    SparseDeconvolution,
+    Spectra,
+    StaticInversion,
+)
 from loadid._commands import NOT_USABLE, exit_code
-from loadid._inverse.diagnosis.detection import noise_alone
+from loadid._inverse.diagnosis.detection import SupportTest, noise_alone
 from loadid._inverse.problem import LinearProblem
 from loadid._inverse.svd import SVDPath
 from loadid._results.report import page
-from structures import Flag, ForwardModel, beams, damping, loads, sensors
+from loadid.constraints import NonNegative
+from structures import Flag, ForwardModel, bases, beams, damping, loads, sensors
 
 from .cases import Case
 
@@ -106,6 +120,87 @@ def of_line(size: float) -> tuple[Flag, ...]:
 def of_readings(size: float) -> tuple[Flag, ...]:
     y = 1e-6 * np.random.default_rng(7).standard_normal(2) + size * beam("disp").static()[:, 0]
     return StaticInversion(beam("disp"), noise=1e-6).estimate(y).flags
+
+
+# -- every family on noise alone --------------------------------------------------------------------------------------
+def recorded(seed: int, samples: int = SAMPLES) -> Record:
+    return Record(np.random.default_rng([77, seed]).standard_normal((samples, 2)), DT, beam("acc").sensors)
+
+
+def fields(seed: int) -> np.ndarray:
+    return 1e-6 * np.random.default_rng([78, seed]).standard_normal(8)
+
+
+@cache
+def gauged() -> ForwardModel:
+    structure = beams.simply_supported(
+        length=1.0, section=beams.Section.rectangle(0.04, 0.01), material=beams.materials.steel, elements=40
+    )
+    seen = [sensors.StrainGauge(at=x, fibre=0.005, label=f"g{k}") for k, x in enumerate(np.linspace(0.1, 0.9, 8))]
+    return ForwardModel(structure, seen, bases.hats(structure, [np.linspace(0, 1, 12)]))
+
+
+FAMILIES: dict[str, Callable[[int, float | None], LoadEstimate]] = {
+    "Tikhonov": lambda seed, std: Deconvolution(beam("acc"), noise=std).estimate(recorded(seed)),
+    "learned variance": lambda seed, std: Deconvolution(
+        beam("acc"), noise=std, penalty=Penalty(variance="local")).estimate(recorded(seed)),
+    "smooth": lambda seed, std: Deconvolution(
+        beam("acc"), noise=std, penalty=Penalty(variance="smooth")).estimate(recorded(seed)),
+    "pushing": lambda seed, std: Deconvolution(
+        beam("acc"), noise=std, constraints=[NonNegative()]).estimate(recorded(seed)),
+    "spikes": lambda seed, std: SparseDeconvolution(beam("acc"), noise=std).estimate(recorded(seed)),
+    "splines": lambda seed, std: SparseDeconvolution(
+        beam("acc"), noise=std, dictionary="bspline", knots=8).estimate(recorded(seed)),
+    "transient lines": lambda seed, std: FrequencyInversion(
+        beam("acc"), noise=std, signal="transient").estimate(recorded(seed)),
+    "stationary lines": lambda seed, std: FrequencyInversion(
+        beam("acc"), noise=std, signal="stationary").estimate(recorded(seed, 4096)),
+    "harmonic": lambda seed, std: HarmonicInversion(beam("acc"), 60.0, noise=std).estimate(recorded(seed, 2048)),
+    "static": lambda seed, std: StaticInversion(gauged(), noise=std and 1e-6).estimate(fields(seed)),
+    "static field": lambda seed, std: StaticInversion(
+        gauged(), penalty="laplacian", noise=std and 1e-6).estimate(fields(seed)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("std", [1.0, None], ids=["stated", "unknown"])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_noise_alone_is_graded_as_nothing(family: str, std: float | None) -> None:
+    """Records of noise: refused, or grade D; what comes through is chance (of ten, up to ten had grade C)."""
+    good = 0
+    for seed in range(5):
+        with suppress(NotIdentifiable):
+            good += FAMILIES[family](seed, std).grade.usable
+    assert good <= 1
+
+
+@pytest.mark.parametrize("std", [1.0, None], ids=["stated", "unknown"])
+@pytest.mark.parametrize("dictionary", ["dirac", "bspline"])
+def test_a_waveform_of_three_times_the_bound_is_told(std: float | None, dictionary: str) -> None:
+    def sparse(y: np.ndarray) -> LoadEstimate:
+        return SparseDeconvolution(beam("acc"), noise=std, dictionary=dictionary, choice=0.5).estimate(y, DT)
+
+    empty = sparse(noise(5))
+    assert CODE in [f.code for f in empty.flags]
+    (bound,) = empty.facts.told_from
+    _, response = finer("acc", (150, 10, 3 * bound))
+    found = sparse(noise(6) + response)
+    assert CODE not in [f.code for f in found.flags]
+    assert abs(int(np.argmax(np.abs(found.load))) - 155) < 12
+
+
+def test_supports_of_noise_pass_as_often_as_stated() -> None:
+    """Of 600 draws of noise the best of 40 waveforms passes for a load at most 1 % of the time, and chance says it."""
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((80, 40))
+    A /= np.linalg.norm(A, axis=0)
+    told = {True: 0, False: 0}
+    for y in rng.standard_normal((600, 80)):
+        energy = float(np.max((A.T @ y) ** 2))
+        for known in told:
+            told[known] += SupportTest({1: energy}, 40, 80, float(y @ y), 1.0 if known else None).chance < 0.01
+    assert max(told.values()) <= 12
+    y = rng.standard_normal(80) + A[:, 7] * SupportTest({1: 0.0}, 40, 80, 80.0, 1.0).least
+    assert SupportTest({1: float(np.max((A.T @ y) ** 2))}, 40, 80, float(y @ y), 1.0).chance < 0.05
 
 
 # -- windows -----------------------------------------------------------------------------------------------------------

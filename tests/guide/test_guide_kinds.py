@@ -150,7 +150,9 @@ def test_a_pad_is_signed_to_the_end(pad_job: Path, monkeypatch: Any) -> None:
     assert [k for k, one in signed.items() if not one["holds"]] == [9]  # a ridge on a coarse mesh: less than pressed
     assert not signed[9]["figures"]["agrees"]
     assert guide("page", "-o", "gel.html") == 0
-    assert "gel.toml" in Path("gel.html").read_text("utf-8")
+    page = Path("gel.html").read_text("utf-8")
+    assert "gel.toml" in page
+    assert "m0+X to m98+Z (297)" in page  # markers that are alike take one row
 
 
 def test_the_certificate_of_a_pad_is_that_of_its_finite_elements(pad_job: Path, monkeypatch: Any) -> None:

@@ -56,6 +56,7 @@ def test_a_change_is_written_at_the_head_by_name(wing: Path) -> None:
     (wing / "service.csv").write_text((wing / "service.csv").read_text().replace("g1,", "g1, "))
     page = text_of(wing)
     assert "Step 4 SVD, Picard and recoverable modes is stale: service.csv has changed since it was signed" in page
+    assert "So are those after it: 5 physical constraints; 6 penalty; " in page  # each by name, the reason once
     assert "3 of 10" in page
     assert "must be signed again" in page
 

@@ -95,6 +95,23 @@ def test_a_slider_tells_its_value_and_moves_the_picture(visit: Callable[..., Vis
     wait(found.page, "document.querySelector('#said').textContent.includes('off, map')")
 
 
+def test_what_leaves_a_picture_is_said_for_each_side(visit: Callable[..., Visit]) -> None:
+    found = visit("contact")
+    drawn = """async values => {
+      const { plot } = await import("/lab.js"), figure = document.getElementById("map");
+      plot(figure, { x: {}, y: { low: -1, high: 1 }, series: [{ x: values.map((_, i) => i), y: values }] });
+      return figure.querySelector(".note").textContent;
+    }"""
+    both = "its largest value is 2, its smallest value is −5."
+    for values, said in (
+        ([0, -2, 1], "its smallest value is −2."),
+        ([3, 4], "its largest value is 4."),
+        ([-5, 2], both),
+    ):
+        assert found.page.evaluate(drawn, values) == f"The curve leaves the picture: {said}"
+    assert found.page.evaluate(drawn, [0, 1, -1]) == ""
+
+
 def test_the_l_curve_page_by_click_and_by_keyboard(visit: Callable[..., Visit]) -> None:
     found = visit("lcurve")
     page = found.page

@@ -92,9 +92,9 @@ def test_the_page_has_the_numbers_of_the_command(lab: Lab, files: dict[str, Path
     said = command(files, tmp_path / "load.h5")
     same(found, said)
     assert found["lam"] == said["choice"]["lam"]
-    shown = asked(lab, "own/picture", lam=0.0, load=0)[1]
+    shown = asked(lab, "own/picture", of=found["of"], lam=0.0, load=0)[1]
     assert shown["peak"]["value"] == pytest.approx(said["peaks"][0]["value"], rel=1e-7)
-    status, kept = asked(lab, "own/save", lam=0.0)
+    status, kept = asked(lab, "own/save", of=found["of"], lam=0.0)
     (tmp_path / "page.h5").write_bytes(kept)
     np.testing.assert_array_equal(loadid.load(tmp_path / "page.h5").load, loadid.load(tmp_path / "load.h5").load)
 
@@ -103,8 +103,8 @@ def test_at_another_lambda_they_are_those_of_the_command_with_this_lambda(
     lab: Lab, files: dict[str, Path], tmp_path: Path
 ) -> None:
     opened(lab, files)
-    assert asked(lab, "own/identify", **PLAIN)[0] == 200
-    status, found = asked(lab, "own/at", lam=3e-4)
+    of = asked(lab, "own/identify", **PLAIN)[1]["of"]
+    status, found = asked(lab, "own/at", of=of, lam=3e-4)
     assert status == 200
     said = command(files, tmp_path / "load.h5", "--choice", "3e-4")
     assert found["edf"] == pytest.approx(said["facts"]["edf"], rel=1e-6)
@@ -112,13 +112,13 @@ def test_at_another_lambda_they_are_those_of_the_command_with_this_lambda(
     assert found["peaks"][0]["std"] == pytest.approx(said["peaks"][0]["std"], rel=1e-4)
     assert found["verdict"] == said["choice"]["verdict"]
     assert {f["code"] for f in found["flags"]} == {f["code"].removeprefix("LID-") for f in said["flags"]}
-    quick = asked(lab, "own/picture", lam=3e-4, load=0)[1]
+    quick = asked(lab, "own/picture", of=of, lam=3e-4, load=0)[1]
     assert quick["peak"]["value"] == pytest.approx(found["peaks"][0]["value"], rel=1e-7)
     assert quick["peak"]["std"] == pytest.approx(found["peaks"][0]["std"], rel=1e-7)
     axis = asked(lab, "own/found")[1]["x"]  # sent once
     assert "x" not in quick
     assert len(axis) == len(quick["y"])
-    (tmp_path / "page.h5").write_bytes(asked(lab, "own/save", lam=3e-4)[1])
+    (tmp_path / "page.h5").write_bytes(asked(lab, "own/save", of=of, lam=3e-4)[1])
     own, other = loadid.load(tmp_path / "page.h5"), loadid.load(tmp_path / "load.h5")
     assert own.choice is not None
     assert own.choice.lam == 3e-4
@@ -136,7 +136,7 @@ def test_static_readings_with_settings_of_the_command(lab: Lab, files: dict[str,
                    model="wing")  # fmt: skip
     same(found, said)
     assert found["single"]
-    status, shown = asked(lab, "own/picture", lam=found["lam"] * 2, load=0)
+    status, shown = asked(lab, "own/picture", of=found["of"], lam=found["lam"] * 2, load=0)
     assert status == 200
     assert len(shown["y"]) == len(found["loads"])
 
@@ -194,6 +194,7 @@ def test_absurd_names_lead_nowhere(lab: Lab, name: str) -> None:
     assert status == 400
     assert len(found["error"]) < 2000
     assert "Traceback" not in found["error"]
+    assert tempfile.gettempdir() not in found["error"]
     assert asked(lab, "own/state")[0] == 200
 
 
@@ -228,11 +229,12 @@ def test_damaged_logs_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path]
 
 def test_odd_values_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path]) -> None:
     opened(lab, files)
-    assert asked(lab, "own/identify", **PLAIN)[0] == 200
-    right = {
-        "own/picture": {"lam": 0.01, "load": 0},
-        "own/at": {"lam": 0.01},
-        "own/save": {"lam": 0.01},
+    of = asked(lab, "own/identify", **PLAIN)[1]["of"]
+    right: dict[str, dict[str, Any]] = {
+        "own/picture": {"of": of, "lam": 0.01, "load": 0},
+        "own/ahead": {"of": of, "lams": [0.01, 0.02], "load": 0},
+        "own/at": {"of": of, "lam": 0.01},
+        "own/save": {"of": of, "lam": 0.01},
         "own/found": {},
     }
     for path, given in right.items():
@@ -243,13 +245,23 @@ def test_odd_values_are_refused_in_a_sentence(lab: Lab, files: dict[str, Path]) 
                 assert status == 400, (path, name, odd)
                 assert "Traceback" not in found["error"]
         assert asked(lab, path, **given, more=1)[0] == 400
-    assert asked(lab, "own/at", lam=0.0)[0] == 400
+    assert asked(lab, "own/at", of=of, lam=0.0)[0] == 400
     for name in PLAIN:
         for odd in ("\x1b[2J", "a" * 2000, None, 7, "--" * 40, "; rm -rf /", "$(id)", "☃"):
             status, found = asked(lab, "own/identify", **{**PLAIN, name: odd})
             assert status in (400, 422), (name, odd)
             assert "Traceback" not in found["error"]
-    assert asked(lab, "own/picture", lam=0.0, load=0)[0] == 200  # the estimate is still there
+    assert asked(lab, "own/picture", of=of, lam=0.0, load=0)[0] == 200  # the estimate is still there
+
+
+def test_a_window_does_not_get_the_picture_of_the_load_of_another_one(lab: Lab, files: dict[str, Path]) -> None:
+    opened(lab, files)
+    first, second = (asked(lab, "own/identify", **{**PLAIN, "noise": noise})[1]["of"] for noise in ("0.1", "0.2"))
+    assert asked(lab, "own/picture", of=second, lam=0.01, load=0)[0] == 200
+    for path, more in (("picture", {"lam": 0.01, "load": 0}), ("at", {"lam": 0.01}), ("save", {"lam": 0.0})):
+        status, found = asked(lab, f"own/{path}", of=first, **more)
+        assert status == 400
+        assert "in another window" in found["error"]
 
 
 def test_what_is_too_large_is_not_read(lab: Lab) -> None:
@@ -263,7 +275,7 @@ def test_a_log_needs_a_model_and_a_load_needs_both(lab: Lab, files: dict[str, Pa
     assert "model" in sent(lab, "own/log", files["log"], **NO_WORDS)[1]["error"]
     assert asked(lab, "own/identify", **PLAIN)[0] == 400
     assert asked(lab, "own/found")[0] == 400
-    assert asked(lab, "own/picture", lam=0.1, load=0)[0] == 400
+    assert asked(lab, "own/picture", of=0, lam=0.1, load=0)[0] == 400
 
 
 @pytest.mark.parametrize(
@@ -294,7 +306,7 @@ def test_an_estimate_explores_itself(estimate: loadid.LoadEstimate, monkeypatch:
         lab = found._lab
         assert asked(lab, "own/state")[1] == {"model": None, "log": None, "found": True, "given": True}
         assert asked(lab, "own/found")[1]["peaks"][0]["value"] == estimate.peaks[0].value
-        assert asked(lab, "own/at", lam=0.01)[1]["peaks"][0]["value"] == estimate.at(0.01).peaks[0].value
+        assert asked(lab, "own/at", of=0, lam=0.01)[1]["peaks"][0]["value"] == estimate.at(0.01).peaks[0].value
         assert asked(lab, "own/identify", **PLAIN)[0] == 404  # nothing can be sent to it
         assert sent(lab, "own/model", b"x")[0] == 404
         page = found._repr_html_()

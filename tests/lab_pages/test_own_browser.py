@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 from loadid import Deconvolution, datasets
 
-from .visited import Visit
+from .visited import Visit, wait
 
 NARROW = {"viewport": {"width": 320, "height": 640}, "color_scheme": "dark"}
 
@@ -36,6 +37,22 @@ def test_the_gel_pad_by_keyboard_alone(visit: Callable[..., Visit]) -> None:
     found.tabbed("id === 'right'")
     found.again(lambda: page.keyboard.press("Enter"))
     assert found.text("#numbers") == right
+
+
+def test_answers_at_every_noise_of_the_gel_pad_are_made_ahead(visit: Callable[..., Visit]) -> None:
+    found = visit("gelpad")
+    asked: list[str] = []
+    found.page.on("request", lambda request: asked.append(request.url))
+    wait(found.page, "document.documentElement.dataset.ahead !== undefined")
+    assert 0 < len(asked) < 10
+    asked.clear()
+    found.page.focus("#noise")
+    right = found.text("#after6")
+    for _ in range(9):
+        found.again(lambda: found.page.keyboard.press("ArrowRight"))
+    assert asked == []
+    assert found.text("#after6") != right
+    assert found.bytes < 200_000
 
 
 @pytest.mark.parametrize("settings", [{}, NARROW])
@@ -83,11 +100,28 @@ def test_own_data_from_two_files_to_a_saved_estimate(visit: Callable[..., Visit]
     assert found.text("#numbers") == numbers
 
 
-def test_an_estimate_that_explores_itself(visit: Callable[..., Visit]) -> None:
+def test_an_estimate_that_explores_itself_makes_pictures_ahead(visit: Callable[..., Visit]) -> None:
     hit = datasets.impact()
     estimate = Deconvolution(hit.model).estimate(hit.record)
-    with estimate.explore(browser=False) as shown:
+    again, made = estimate.again, list[float]()
+    assert again is not None
+    assert again.quick is not None
+    quick = again.quick
+
+    def counted(lam: float) -> Any:
+        made.append(lam)
+        return quick(lam)
+
+    with replace(estimate, again=replace(again, quick=counted)).explore(browser=False) as shown:
         found = visit(shown.address)
         assert found.page.is_hidden("#files")
         assert f"{estimate.peaks[0].value:.1f}" in found.text("#numbers")
         assert found.serious() == []
+        wait(found.page, "document.documentElement.dataset.ahead !== undefined")
+        stops = sorted(made)
+        for _ in range(5):
+            found.again(lambda: found.page.press("#lam", "ArrowLeft"))
+        assert sorted(made) == stops
+        assert 90 < len(set(stops)) == len(stops) < 100
+        assert found.bytes < 130_000
+        found.page.close()  # before its server ends: what it still asks would fail

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from loadid.generate import Examples, TrainingSet
-from tactile import Layer, Markers, MultilayerPad, Pad, Press
+from tactile import Layer, Markers, MultilayerPad, Pad, Press, Tolerances
 
 NOISE = 2e-6
 LAYER = Layer(2e-3, 147e3, 0.45)
@@ -25,14 +25,14 @@ def pad() -> Pad:
     return Pad(size=(10e-3, 9e-3), thickness=2e-3, E=147e3, nu=0.45, elements=(10, 9), layers=2, allow=("W115",))
 
 
-def sensor(points: np.ndarray | None = None) -> MultilayerPad:
-    """A sensor with a ridge at a frozen lambda."""
+def sensor(points: np.ndarray | None = None, **known: float) -> MultilayerPad:
+    """A sensor with a ridge at a frozen lambda, its gel known so well."""
     markers = Markers(places() if points is None else points, NOISE)
-    return MultilayerPad(pad(), markers, penalty="identity", choice=0.01)
+    return MultilayerPad(pad(), markers, penalty="identity", choice=0.01, tolerances=Tolerances(**known))
 
 
 @cache
-def presses(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def presses(count: int, seed: int, gel: Layer = LAYER) -> tuple[np.ndarray, np.ndarray]:
     """Motion (n, markers, 2) with noise, and tractions (n, 3 P) in Pa: means over the cells about the nodes."""
     rng, motion, loads = np.random.default_rng(seed), [], []
     steps = ((np.arange(6) + 0.5) / 6 - 0.5) * 1e-3
@@ -41,7 +41,7 @@ def presses(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         force = rng.uniform(0.1, 0.4)
         one = Press(at=tuple(rng.uniform(-1.5e-3, 1.5e-3, 2)), radius=rng.uniform(1e-3, 2e-3), force=force,
                     shear=tuple(force * rng.uniform(-0.3, 0.3, 2)))  # fmt: skip
-        seen = one.displacement(LAYER, places())[:, :2]
+        seen = one.displacement(gel, places())[:, :2]
         motion.append(seen + NOISE * rng.standard_normal(seen.shape))
         loads.append(one.traction(cells.reshape(-1, 2)).reshape(pad().points, -1, 3).mean(axis=1).ravel())
     return np.array(motion), np.array(loads)

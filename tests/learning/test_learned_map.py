@@ -7,6 +7,7 @@ import loadid
 from loadid import Deconvolution, InputError, LearnedMap, Record, StaticInversion
 from loadid.generate import Examples, TrainingSet
 from structures import Channel, MatrixModel
+from tests.benchmarks.adapted import real, trial
 
 from .made import (
     DT,
@@ -148,6 +149,41 @@ def test_a_few_records_with_known_force_bring_gain_and_bias():
     assert np.linalg.norm(after.mean - x) < 0.2 * np.linalg.norm(before.mean - x)
     assert np.mean([v.alarm for v in after.verdicts]) < 0.1 < np.mean([v.alarm for v in before.verdicts])
     assert np.mean(np.abs(after.mean - x) <= 1.96 * after.std) > 0.85
+
+
+@pytest.mark.parametrize(("quiet", "pressed"), [(1, 0), (1, 3), (2, 5)])
+@pytest.mark.parametrize("summed", [False, True])
+def test_the_band_holds_what_gain_and_bias_are_off_by(quiet, pressed, summed):
+    """Mean over 60 sensors, each with a gain and a bias of its own; without their errors 0.83 of (1, 0)."""
+    known = (lambda load: {"sum": load.sum()}) if summed else None
+    noise = np.full(8, NOISE)
+    found = [trial(real, static_map(), noise, quiet, pressed, seed, 100, known)[0] for seed in range(1000, 1060)]
+    assert 0.93 < np.mean(found) < 0.985
+
+
+def test_errors_of_gain_and_bias_are_shared_by_all_loads():
+    """The posterior knows the std of the sum, which independent loads would give too small."""
+    y, x = presses(3, 81)
+    more = [(1.2 * one, load) for one, load in zip(y, x, strict=True)] + [(NOISE * np.ones(8), np.zeros(4))]
+    fitted = static_map().adapted(more)
+    frames = presses(3, 5)[0]
+    told = fitted.predict(frames)
+    W = static_map()._factor() * fitted.adaptation.gain * fitted.adaptation.spread
+    for k, frame in enumerate(frames):
+        want = W.T @ W + told.shared[k].T @ told.shared[k]
+        posterior = fitted.estimate(frame).posterior
+        assert posterior.variance(np.ones(4)) == pytest.approx(want.sum())
+        np.testing.assert_allclose(posterior.std, np.sqrt(np.diag(want)))
+    together = fitted.estimate(frames).posterior
+    both = 3 * np.sum((np.ones(4) @ W.T) ** 2) + np.sum(told.shared.sum(axis=(0, 2)) ** 2)
+    assert together.variance(np.ones((3, 4))) == pytest.approx(both)
+
+
+def test_gains_that_no_record_tells_stay():
+    y, x = presses(1, 81)
+    fitted = static_map().adapted([(NOISE * np.zeros(8), np.zeros(4)), (1e-4 * y[0], 1e-4 * x[0])])
+    np.testing.assert_array_equal(fitted.adaptation.gain, 1.0)
+    np.testing.assert_array_equal(fitted.adaptation.by_gain, 0.0)
 
 
 def test_known_resultants_bring_a_gain_too():

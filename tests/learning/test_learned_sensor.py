@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loadid import LearnedMap
 from loadid._learning.network import Schedule
 from loadid.cli import main
+from loadid.generate import Examples, TrainingSet
 from structures.errors import InputError
-from tactile import ForceMap, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
+from tactile import ForceMap, Layer, LearnedSensor, Markers, MultilayerPad, Pad, Wrench
+from tactile.generate import ContactRange, IndenterRange, PressDeclaration
+from tactile.generate import presses as drawn_presses
 
 from .presses import NOISE, pad, places, presses, sensor, training
 
@@ -101,7 +105,7 @@ def test_a_map_is_kept_in_a_file_and_holds_for_markers_found_again(learned: Lear
     assert turned.estimate(motion[0][::-1]).load == pytest.approx(want.load, rel=1e-9)
     with pytest.raises(InputError, match="the markers are not those"):
         LearnedSensor.read(tmp_path / "map.h5", sensor(places() + 4e-4))
-    other = Pad(size=(10e-3, 9e-3), thickness=2e-3, E=150e3, nu=0.45, elements=(10, 9), layers=2, allow=("W115",))
+    other = gel(E=150e3)
     with pytest.raises(InputError, match="learned for another model"):
         LearnedSensor.read(tmp_path / "map.h5", MultilayerPad(other, Markers(places(), NOISE), choice=0.01))
 
@@ -181,3 +185,107 @@ def test_a_pad_keeps_its_grid() -> None:
     assert np.array_equal(grid.flat(grid.image(values)), values)
     assert np.all(np.diff(pad().nodes2d[grid.order][..., 0], axis=1) > 0)
     assert Grid.of(np.random.default_rng(0).standard_normal((110, 2)), 3) is None
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> TrainingSet:
+    """Presses that were drawn for the sensor: the set says for which."""
+    pressed = PressDeclaration(
+        [IndenterRange("sphere", radius=(2e-3, 4e-3))],
+        ContactRange(x=(-1e-3, 1e-3), y=(-1e-3, 1e-3), depth=(0.05e-3, 0.1e-3), shear=(0, 0.05e-3)),
+    )
+    return drawn_presses(sensor(), pressed, tmp_path_factory.mktemp("drawn"), draws=100, seed=0, workers=1)
+
+
+def test_presses_drawn_for_another_pad_or_for_other_markers_are_refused(drawn: TrainingSet) -> None:
+    again = TrainingSet.open(drawn.source.folder)  # type: ignore[union-attr]
+    assert again.model == sensor().model.described
+    assert again.places == pytest.approx(places())
+    one = LearnedSensor.fit(sensor(places()[::-1] + 1e-5), again, engine="linear")
+    assert np.array_equal(one.fitted.facts["markers"], again.places)
+    assert LearnedMap(sensor().model, output="resultant").fit(again).facts["draws"] == 100
+    for other, words in ((gel(E=177e3), "drawn for another model"), (gel(nu=0.4), "drawn for another model")):
+        elsewhere = MultilayerPad(other, Markers(places(), NOISE), choice=0.01)
+        with pytest.raises(InputError, match=words):
+            LearnedSensor.fit(elsewhere, again, engine="linear")
+    with pytest.raises(InputError, match="the markers are not those"):
+        LearnedSensor.fit(sensor(places() + 4e-4), again, engine="linear")
+
+
+def gel(E: float = 147e3, nu: float = 0.45) -> Pad:
+    """The pad of another gel."""
+    return Pad(size=(10e-3, 9e-3), thickness=2e-3, E=E, nu=nu, elements=(10, 9), layers=2, allow=("W115",))
+
+
+def test_markers_found_in_another_order_leave_the_same_residual(learned: LearnedSensor, tmp_path: Path) -> None:
+    motion, _ = presses(COUNT, 1)
+    learned.save(tmp_path / "map.h5")
+    turned = LearnedSensor.read(tmp_path / "map.h5", sensor(places()[::-1]))
+    found, want = turned.estimate(motion[0][::-1]), learned.estimate(motion[0])
+    assert found.facts.novelty_by == want.facts.novelty_by
+
+
+def test_nodes_that_no_press_loads_are_named(learned: LearnedSensor) -> None:
+    motion, _ = presses(COUNT, 1)
+    found = learned.estimate(motion[0])
+    (flag,) = (f for f in found.flags if f.code == "LID-W616")
+    assert f"never varying there, and answered by their mean: {found.labels[0]}" in str(flag)
+    still = np.flatnonzero(np.all(training().read().loads == training().read().loads[0], axis=0))
+    assert learned.fitted.facts["still"] == [found.labels[i] for i in still]
+    assert np.all(found.std[still] == 0)
+
+
+def test_presses_that_load_every_node_raise_no_flag() -> None:
+    one, rng = training().read(), np.random.default_rng(1)
+    spread = one.loads + 1e3 * rng.standard_normal(one.loads.shape)
+    whole = TrainingSet.of(Examples.measured(one.data, spread, noise=NOISE), sensors=training().sensors,
+                           loads=training().loads)  # fmt: skip
+    found = LearnedSensor.fit(sensor(), whole, engine="linear").estimate(presses(COUNT, 1)[0][0])
+    assert "LID-W616" not in [f.code for f in found.flags]
+
+
+def in_band(one: LearnedSensor, known: dict[str, float]) -> float:
+    """Share of the forces in their 95 % band, of presses on gels that are off by as much as is said."""
+    rng, held = np.random.default_rng(3), []
+    for k in range(12):
+        E, nu = 147e3 * (1 + known["E"] * rng.standard_normal()), 0.45 + known["nu"] * rng.standard_normal()
+        motion, loads = presses(6, 100 + k, Layer(2e-3, E, min(nu, 0.49)))
+        for u, load in zip(motion, loads, strict=True):
+            found = one.estimate(u)
+            if found.facts.answered_by == "learned map":
+                force = found.resultant()
+                held.append(np.abs(force.value - one.sensor.resultant[:3] @ load) <= 1.96 * force.std)
+    assert len(held) > 60
+    return float(np.mean(held))
+
+
+def test_the_band_holds_the_forces_on_gels_within_their_tolerances(learned: LearnedSensor) -> None:
+    known = {"E": 0.12, "nu": 0.03}
+    assert in_band(learned, known) < 0.7
+    told = LearnedSensor(sensor(**known), learned.fitted)
+    assert 0.91 < in_band(told, known) < 0.98
+    assert "std of the gel, E 0.12, nu 0.03" in told.estimate(presses(COUNT, 2)[0][0]).facts.band
+
+
+def test_a_tolerance_of_the_modulus_is_that_of_all_tractions(learned: LearnedSensor) -> None:
+    u = presses(COUNT, 1)[0][0]
+    want, found = learned.estimate(u), LearnedSensor(sensor(E=0.1), learned.fitted).estimate(u)
+    assert np.array_equal(found.load, want.load)
+    assert found.std == pytest.approx(np.hypot(want.std, 0.1 * want.load))
+    force = want.resultant()
+    assert found.resultant().std == pytest.approx(np.hypot(force.std, 0.1 * force.value))
+
+
+def test_presses_of_known_force_tell_the_modulus(learned: LearnedSensor) -> None:
+    motion, loads = presses(COUNT, 2, Layer(2e-3, 1.2 * 147e3, 0.45))
+    one = LearnedSensor(sensor(E=0.12), learned.fitted)
+    R = one.sensor.resultant[:3]
+    wrenches = [Wrench(tuple(R @ load)) for load in loads[:5]]
+    told = one.adapted(list(motion[:5]), wrenches=wrenches)
+    assert told.fitted.adaptation.gain[2] == pytest.approx(1.2, abs=0.1)
+    assert "std of the gel" not in told.estimate(motion[5]).facts.band
+    held = [np.abs(m.resultant().value - R @ load) <= 1.96 * m.resultant().std
+            for m, load in zip(map(told.estimate, motion[5:]), loads[5:], strict=True)]  # fmt: skip
+    assert np.mean(held) > 0.9
+    with pytest.raises(InputError, match="the wrenches do not go with the frames"):
+        one.adapted(list(motion[:5]), wrenches=wrenches[:4])

@@ -85,3 +85,8 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="the folder cannot be made"):
         datasets.impact(tmp_path / "file" / "below")
+
+
+def test_sets_written_to_one_folder_keep_each_other_s_files(tmp_path):
+    names = [f.name for name in SETS for f in getattr(datasets, name)(tmp_path).files]
+    assert len(names) == len(set(names)) == len(list(tmp_path.iterdir()))

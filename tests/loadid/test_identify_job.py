@@ -72,9 +72,9 @@ def run(capsys: pytest.CaptureFixture, folder: Path, tmp_path: Path, monkeypatch
 def asked(run: Any, out: Path, *words: Any, log: str = "log.csv", model: str = "model.h5") -> str:
     """What a run says that must answer."""
     code, said, err = run("identify", log, "--model", model, "-o", out, *words)
-    # one harmonic does not explain a hit, which the data say: exit code 1
+    # a hit is on the lines beside this one as on it, and so no harmonic load: exit code 1
     assert code == (1 if "harmonic" in words else 0), err
-    assert ("NOT TO BE USED" in said) == (code == 1)
+    assert ("do not use the number" in said) == (code == 1)
     return said
 
 
@@ -163,7 +163,7 @@ def test_every_option_belongs_to_a_family_and_every_family_has_its_own() -> None
         (["--family", "deconvolution", "--support", "0.02:0.026", "--validation", "s3"], "kept out: s3"),
         (["--family", "sparse", "--dictionary", "bspline", "--knots", "2", "--support", "0.018:0.03"], "peak F"),
         (["--family", "tracker", "--prior", "matern32", "--gate", "none"], "peak F"),
-        (["--family", "harmonic", "--frequency", "30"], "peak F"),
+        (["--family", "harmonic", "--frequency", "30"], "no load is told from noise: an amplitude of"),
         (["--family", "frequency", "--signal", "transient", "--validation", "s1"], "kept out: s1"),
         (["--family", "field", "--time", "first_difference", "--choice", "0.01"], "peak F"),
         (["--family", "location", "--grid", "7", "--choice", "0.001"], "nearest candidate"),
@@ -225,18 +225,6 @@ def test_noise_by_name_is_noise_in_order(folder: Path) -> None:
     assert some.facts.held_out == (f"s1 {error:.2%}",)
     with pytest.raises(InputError, match="not stated"):
         identify(folder / "log.csv", model, noise={"s0": 1e-6})
-
-
-def test_amplitudes_are_those_of_a_sine() -> None:
-    from loadid import Record
-
-    t = np.arange(500) / RATE
-    rng = np.random.default_rng(0)
-    noise = 0.1 * rng.standard_normal((500, 400))
-    clean = 2.0 * np.cos(2 * np.pi * 31.0 * t + 0.4)[:, None] + 5.0
-    found, std = _inputs.amplitudes(Record(clean + noise, 1 / RATE), 31.0)
-    errors = np.abs(np.array(list(found.values())) - 2.0 * np.exp(0.4j))
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.mean(std), rel=0.1)
 
 
 # -- jobs --------------------------------------------------------------------------------------------------------------

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loadid import Deconvolution, cli
+from loadid import Deconvolution, Spectra, cli
 from structures import ForwardModel, damping, loads, sensors
+from structures._models.substructure import reduce
 from structures.files import _modelfile, read_fe
+from tests.test_contracts import USERS
 
 FIXTURES = Path(__file__).parents[1] / "structures" / "fe" / "fixtures"
 FILES = [str(FIXTURES / name) for name in ("plate.sti", "plate.mas", "plate.inp")]
@@ -148,3 +150,43 @@ def test_a_load_is_identified_with_an_imported_model(tmp_path):
     assert np.linalg.norm(simulated - y) < 0.02 * np.linalg.norm(y)
     found = Deconvolution(model, noise=1e-3 * np.abs(y).max()).estimate(y, dt=step)
     assert np.linalg.norm(found.load[:, 0] - force) < 0.1 * np.linalg.norm(force)
+
+
+@pytest.fixture(scope="module")
+def plates():
+    """An imported plate, whole and reduced to 2.5 kHz, as models of the same channels."""
+    whole = read_fe(FILES, units="mm,N").structure(damping=damping.Modal(0.02))
+    places = ("123+Z", "33+Z", "63+Z", "93+Z")
+    small = reduce(whole, places, 2500.0).structure
+    channels = [sensors.Displacement(at, label=at) for at in places], [loads.Point("63+Z"), loads.Point("33+Z")]
+    return ForwardModel(whole, *channels), ForwardModel(small, *channels)
+
+
+@pytest.mark.parametrize("family", USERS)
+def test_every_family_runs_on_a_reduced_model(plates, family):
+    """Data of the whole model, an answer of the reduced one."""
+    whole, small = plates
+    rng, dt, samples = np.random.default_rng(1), 1e-4, 44
+    still, lines = np.array([10.0, 4.0]), np.linspace(300.0, 2000.0, 40)
+    pulse = np.zeros((samples, 2))
+    pulse[20:36, 0] = 10 * np.sin(np.pi * (np.arange(16) + 0.5) / 16) ** 2
+    if family == "StaticInversion":
+        y, truth = whole.static() @ still, still
+    elif family == "HarmonicInversion":
+        y, truth = whole.frf(np.array([80.0]))[0] @ (still * [1, 1j]), still * [1, 1j]
+    elif family == "FrequencyInversion":
+        y, truth = whole.frf(lines) @ (still * [1, 1j]), np.tile(still * [1, 1j], (len(lines), 1))
+    else:
+        y, truth = whole.predict(pulse, dt), pulse
+    level = 1e-3 * np.sqrt(np.mean(np.abs(y) ** 2))
+    noise = level * rng.standard_normal(y.shape)
+    y = y + (noise + 1j * level * rng.standard_normal(y.shape) if np.iscomplexobj(y) else noise)
+    lined = {"FrequencyInversion": (Spectra(lines, y, noise=np.sqrt(2) * level),)} if y.shape[0] == len(lines) else {}
+    given = {"StaticInversion": (y,), "HarmonicInversion": (y,), **lined}.get(family, (y, dt))
+    found = USERS[family][0](small).estimate(*given)
+    if family == "LocationSearch":
+        assert found.best == (0,)
+        return
+    load = found.load[:1] + 1j * found.load[1:] if family == "HarmonicInversion" else found.load
+    load = load.reshape(truth.reshape(-1, 2).shape) if load.size == truth.size else load
+    assert np.linalg.norm(load - truth.reshape(load.shape)) < 0.03 * np.linalg.norm(truth)

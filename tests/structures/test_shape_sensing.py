@@ -119,6 +119,22 @@ def test_a_clamped_plate():
     assert w == pytest.approx(centre, rel=0.011)
 
 
+def test_a_clamped_plate_converges():
+    """One station an element, strains of a mesh of 32: second order, and 1 % from 16 x 16 stations on."""
+    fine = plates.plate(lengths=(1, 1), thickness=THICK, material=MATERIAL, elements=32, edges="CCCC")
+    errors = []
+    for count in (8, 16):
+        placed = gauges(count)
+        model = ForwardModel(fine, [*placed, sensors.Displacement(at=(0.5, 0.5))], [loads.Patch(x=(0, 1), y=(0, 1))])
+        *strains, centre = model.static()[:, 0]
+        inverse = InverseFEM(plates.plate(lengths=(1, 1), thickness=THICK, material=MATERIAL, elements=count,
+                                          edges="CCCC"), placed)  # fmt: skip
+        w = inverse.row(sensors.Displacement(at=(0.5, 0.5))) @ inverse.estimate(strains).values
+        errors.append(abs(w / centre - 1))
+    assert errors[1] < 0.01
+    assert np.log2(errors[0] / errors[1]) > 1.7
+
+
 @pytest.mark.parametrize(
     ("ends", "deflection", "curvature"),
     [

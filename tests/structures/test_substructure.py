@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from structures import ForwardModel, InputError, beams, damping, loads, plates, sensors
+from structures._models import substructure
 from structures._models.reduction import modes
 from structures._models.substructure import lowest, reduce
 from structures._system import dissection
@@ -84,7 +86,7 @@ def test_block_lanczos_finds_every_mode_of_a_square_plate():
 def test_dissection_orders_every_row_once_and_fills_in_less(monkeypatch):
     structure = plates.plate(lengths=(1.0, 1.0), thickness=0.003, material=beams.materials.steel, elements=40)
     monkeypatch.setattr(dissection, "LARGE", 1)
-    order = dissection.order_of(structure)
+    order = dissection.elimination_of(structure).order
     assert np.sort(order).tolist() == list(range(structure.free.size))
     from scipy.sparse.linalg import splu
 
@@ -93,6 +95,36 @@ def test_dissection_orders_every_row_once_and_fills_in_less(monkeypatch):
     assert splu(K[order][:, order].tocsc(), permc_spec="NATURAL", **options).nnz < 0.7 * natural
     b = np.random.default_rng(0).standard_normal((structure.free.size, 2))
     assert Factor(structure.K_free, structure=structure).solve(b) == pytest.approx(Factor(K).solve(b), rel=1e-6)
+
+
+def bricks(*nodes):
+    """Matrix and places of the nodes of trilinear bricks."""
+    lines = [sparse.diags_array([np.ones(n - 1), np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1]) for n in nodes]
+    near = sparse.kron(lines[2], sparse.kron(lines[1], lines[0]))
+    A = sparse.kron(near, -np.ones((3, 3))) + 100 * sparse.eye_array(3 * near.shape[0])
+    grid = np.meshgrid(*(np.arange(float(n)) for n in nodes[::-1]), indexing="ij")
+    return A.tocsr(), np.repeat(np.column_stack([g.ravel() for g in grid[::-1]]), 3, axis=0)
+
+
+@pytest.mark.parametrize("nodes", [(10, 10, 10), (24, 4, 4)])
+def test_the_fill_is_known_before_it_is_made(nodes):
+    from scipy.sparse.linalg import splu
+
+    A, places = bricks(*nodes)
+    found = dissection.dissected(A, places)
+    options = {"permc_spec": "NATURAL", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    made = splu(A[found.order][:, found.order].tocsc(), **options).L.nnz
+    assert made <= found.entries < 1.4 * made
+
+
+def test_a_factor_beyond_the_memory_is_refused_before_it_is_begun(monkeypatch):
+    structure, told = plate(), []
+    monkeypatch.setattr(dissection, "LARGE", 1)
+    monkeypatch.setattr(substructure, "machine_memory", lambda: 1e4)
+    monkeypatch.setattr(substructure, "Factor", None)
+    with pytest.raises(InputError, match=r"does not fit the memory(?s:.*)export a reduced model"):
+        reduce(structure, KEEP, BAND, progress=told.append)
+    assert "GB" in told[0]
 
 
 def test_refusals():

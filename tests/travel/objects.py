@@ -614,7 +614,7 @@ add("shape sensing/QuadPlate", lambda: shape_sensing.QuadPlate.rectangle((0.4, 0
     lambda plate: sensed(shape_sensing.InverseFEM(plate, gauged()[1])))  # fmt: skip
 add("shape sensing/SensedField", lambda: shape_sensing.InverseFEM(*gauged()).estimate(np.linspace(1e-5, 3e-5, 5)),
     lambda found: bits((found.values, found.std)))  # fmt: skip
-add("family/HarmonicInversion", lambda: one_line()[0], partial(estimated, amplitudes=one_line()[1]))
+add("family/HarmonicInversion", lambda: one_line()[0], partial(estimated, found=one_line()[1]))
 add("family/FrequencyInversion", lambda: lines()[0], partial(estimated, found=lines()[1]))
 add("family/FrequencyInversion, transient", lambda: FrequencyInversion(p.chain.__wrapped__(), signal="transient"),
     partial(estimated, found=p.pushed(samples=400)[0], dt=DT))  # fmt: skip

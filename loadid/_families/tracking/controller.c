@@ -780,6 +780,11 @@ void lt_reset(tracker *t) {
 #endif
 }
 
+void lt_reset_moving(tracker *t) {
+  lt_reset(t);
+  memcpy(t->state.L, MOVED, sizeof(MOVED));
+}
+
 unsigned lt_step(tracker *t, const real given[LT_SENSORS], real load[LT_LOADS], real std[LT_LOADS]) {
   real y[M], found[P], spread[P];
   int i;

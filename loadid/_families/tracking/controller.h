@@ -39,7 +39,8 @@ typedef struct {
 #endif
 } lt_belief;
 
-/* One tracker. As many as wanted, wherever there is room; lt_reset makes one ready. */
+/* One tracker. As many as wanted, wherever there is room; lt_reset or
+   lt_reset_moving makes one ready. */
 typedef struct {
   lt_belief state;
   lt_real work[(LT_SENSORS + LT_STATES) * LT_STATES], side[(LT_SENSORS + LT_STATES) * LT_SENSORS];
@@ -60,8 +61,11 @@ typedef struct {
 #endif
 } lt_tracker;
 
-/* Before the first sample. */
+/* Before the first sample of a structure at rest. */
 void lt_reset(lt_tracker *t);
+
+/* Before the first sample of one that moves, as loads of the prior keep it moving. */
+void lt_reset_moving(lt_tracker *t);
 
 /* Take one sample: y in, NaN where a channel is missing; loads and their std out, each where it is not NULL.
    Answers what happened: LT_SETTLED, LT_MISSING, ... */

@@ -26,6 +26,7 @@ from ..._inverse.gaussian.roots import Array, lower, solve_lower
 from ..._inverse.gaussian.steady import SteadyFilter
 from . import gate as odds
 from . import judging
+from .beginning import moving
 from .engine import NEAR
 from .fit import TrackerFit
 
@@ -124,7 +125,7 @@ def _numbers(f: TrackerFit, gate: float | None, width: Array | None, most: Array
     core = SquareRoot(model)
     sizes: dict[str, Any] = {"HAS_GAIN": int(settled is not None), "ARRIVED": NEAR}
     tables: dict[str, Array] = {"F": model.F, "H": model.H, "LR": model.LR, "CP": model.Cp, "X0": model.x0}
-    tables["L0"] = _square(lower(model.L0))
+    tables["L0"], tables["MOVED"] = _square(lower(model.L0)), _square(moving(model, 1.0))
     tables["LQ"] = narrow(core.whole.LQ)
     if model.S is not None:
         tables["SHARED"] = solve_lower(model.LR, model.S.T).T

@@ -25,7 +25,7 @@ from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array, lower, solve_lower
 from ..._inverse.gaussian.steady import SteadyFilter
 from .bank import HOP, lifted_of
-from .beginning import MovingStart, beginning
+from .beginning import HEAD, MovingStart, beginning
 from .engine import Engine, Late
 from .fit import TrackerFit
 from .samples import Replay, inside
@@ -239,6 +239,7 @@ class Running:
         """Back before the first sample."""
         self._tally: Counter[str] = Counter()
         self._start: MovingStart | None = None
+        self._head: Array | None = np.empty((0, self.fitted.model.m)) if self.engine == "own" else None
         self._means = Means(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._watch = self._watching()
@@ -248,14 +249,21 @@ class Running:
         self.row_alarms = np.zeros((0, 2), int)
         self._made()
 
-    def begin(self, Y: Array) -> None:
-        """Start in the motion that the first samples (samples, sensors) tell of, where they do not start at rest."""
-        if self.engine != "own":
+    def _opening(self, Y: Array) -> None:
+        """Start anew where the first samples, with those that come now (samples, sensors), tell of another start."""
+        if self._head is None or not len(Y):
             return
-        self._start = start = beginning(self.fitted.model, self.fitted.settled, Y)
-        if start is not None:
-            for engine in (self._engine, *(engine for _, engine in self._bank)):
-                engine.ready = start.state(engine.model)
+        before, tally = self._head, self._tally
+        head = np.concatenate([before, Y])[:HEAD]
+        start = beginning(self.fitted.model, self.fitted.settled, head)
+        if start != self._start:
+            self.reset()
+            self._tally, self._start = tally, start
+            if start is not None:
+                for engine in (self._engine, *(engine for _, engine in self._bank)):
+                    engine.ready = start.state(engine.model)
+            self._filtered(before, TrackedRows.of(len(before), self._p, before.shape[1]), None)
+        self._head = head if len(head) < HEAD else None
 
     def _watching(self) -> Watch | None:
         """Over the sensors, where the fit has told what is usual; what it finds is acted upon where there is a gate."""
@@ -295,7 +303,8 @@ class Running:
     def step(self, sample: ArrayLike) -> tuple[Array, Array]:
         """Loads and their std (loads,) after one sample (sensors,); NaN marks a channel that is missing.
 
-        With a lag they are those of so many samples ago: before the first one, what the prior says.
+        With a lag they are those of so many samples ago: before the first one, what the prior says. The first answers
+        are from rest, until the samples so far tell of a start in motion (N532): the filter then begins anew in it.
 
         Raises
         ------
@@ -304,6 +313,9 @@ class Running:
         """
         if self.fitted.limits is not None:
             sample = self._believable(sample)
+        if self._head is not None:
+            row = reals(sample, where="sample", what="a sample that is no row of real numbers")
+            self._opening(self._engine.core.sample(row)[None])
         load, std = self._watched(sample)
         return load, std if self.fitted.wider is None else std * self.fitted.wider
 
@@ -415,6 +427,7 @@ class Running:
         out = TrackedRows.of(len(Y), self._p, Y.shape[1])
         if self.fitted.limits is not None:
             Y = self._believable(Y)
+        self._opening(Y)
         self._filtered(Y, out, progress)
         if self.fitted.wider is not None:
             np.multiply(out.std, self.fitted.wider, out=out.std)
@@ -563,6 +576,7 @@ class Running:
         ring = None if self._ring is None else self._ring.to_tree()
         return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree(),
                                    "start": None if self._start is None else [self._start.wider, self._start.gain],
+                                   "head": None if self._head is None else self._head.copy(),
                                    "watch": None if self._watch is None else self._watch.to_tree()}  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
@@ -570,6 +584,8 @@ class Running:
         self._restored(tree)
         start = tree.get("start")
         self._start = None if start is None else MovingStart(*map(float, start))
+        head = tree.get("head")  # files of before hold none, and are beyond it
+        self._head = None if head is None else np.array(head, float).reshape(-1, self.fitted.model.m)
         self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
         if (means := tree.get("means")) is not None:  # files of 0.1 hold none
             self._means.restore(means)

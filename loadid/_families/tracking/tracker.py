@@ -82,7 +82,7 @@ class Tracker(Running):
     ) -> LoadEstimate:
         """Loads of a block, going on from the last sample; with a lag those of so many samples ago.
 
-        The first block starts at rest, or, where its first samples do not, in motion that they tell of (flag N532).
+        It starts at rest, or, where its first five samples do not, in motion that they tell of (flag N532).
 
         Parameters
         ----------
@@ -99,8 +99,6 @@ class Tracker(Running):
         """
         Y, inputs = blocks.values(self.fitted, block, dt)
         first = self._engine.counts["samples"]
-        if not first:
-            self.begin(Y)
         skip = max(self.lag - first, 0)
         if skip >= len(Y):
             raise InputError("the block ends before the first late answer", where="track", found=f"{len(Y)} samples",
@@ -174,6 +172,7 @@ class Tracker(Running):
         for _, engine in self._bank:
             engine.succeed(old, T)
         self._ring, self._origin = Replay(self.replay) if self.replay else None, model
+        self._head = None
 
     # -- others -----------------------------------------------------------------------------------------------------
 
@@ -187,16 +186,17 @@ class Tracker(Running):
     def to_c(self, path: str | os.PathLike[str], name: str = "tracker", dtype: str = "double") -> Path:
         """Write the tracker as a C99 file with its header, for a controller: no heap, no files, no static variables.
 
-        The C answers as `step` of a tracker that has just been fitted, from rest: missing channels, the gate, ends of
-        range and bounds of the loads. It has no watch over the sensors, answers at once, and its std does not hold
-        declared errors of the model.
+        The C answers as `step` of a tracker that has just been fitted: missing channels, the gate, ends of range and
+        bounds of the loads. It starts as it is told, at rest (`NAME_reset`) or in motion (`NAME_reset_moving`); it has
+        no watch over the sensors, answers at once, and its std does not hold declared errors of the model.
 
         Parameters
         ----------
         path : path
             Of the C file, like ``roof.c``; ``roof.h`` is written beside it.
         name : str
-            Prefix of what others see: type ``NAME_tracker``, functions ``NAME_reset`` and ``NAME_step``.
+            Prefix of what others see: type ``NAME_tracker``, functions ``NAME_reset``, ``NAME_reset_moving`` and
+            ``NAME_step``.
         dtype : {"double", "float"}
             Type of its numbers, where neither ``NAME_DOUBLE`` nor ``NAME_FLOAT`` is defined.
 

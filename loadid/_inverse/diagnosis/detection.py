@@ -9,13 +9,15 @@ lambdas are tried, as a load may be simple or not, and the smallest chance count
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from .. import Array
 from ..path import PathPoint, RegularizationPath
+from ..sparse.path import log_supports
 
 TRIED = 7  # lambdas ...
 LOWEST = 1e-4  # ... from here to the scale of the path
@@ -68,22 +70,21 @@ class EnergyTest:
             each = betaincc(*self._beta(), np.clip(self.energy / self.whole, 0.0, 1.0))
         return float(min(1.0, len(self.lam) * np.min(each)))
 
-    def least(self, seen: Callable[[float], float], lams: Array | None = None) -> tuple[float, float]:
-        """Size of a load that would have been told in 95 % of all cases, and the lambda that tells it.
+    def told_by(self, seen: Callable[[float], float]) -> float:
+        """Of these lambdas the one at which the smallest load of some shape would be told from noise.
 
         Parameters
         ----------
         seen : callable
-            Energy ``(H g)^T A (H g)`` of the whitened response of a load g of size 1, at a relative lambda.
-        lams : array, optional
-            Of those that were tried; default all.
+            Energy ``(H g)^T A (H g)`` of the whitened response of a load g of that shape, at a relative lambda.
         """
-        size, at = np.inf, float(self.lam[0])
-        for lam, need in zip(self.lam, self._needed(), strict=True):
-            own = seen(float(lam)) if lams is None or lam in lams else 0.0
-            if own > 0 and (found := float(np.sqrt(need / own))) < size:
-                size, at = found, float(lam)
-        return size, at
+        sizes = [self.sizes(np.array([seen(float(lam))]), float(lam))[0] for lam in self.lam]
+        return float(self.lam[int(np.argmin(sizes))])
+
+    def sizes(self, energy: Array, lam: float) -> Array:
+        """Factors (loads,) on loads of some `energy` at one lambda from which 95 % of all cases would tell them."""
+        need = self._needed[np.flatnonzero(self.lam == lam)[0]]
+        return np.sqrt(need / np.where(energy > 0, energy, np.nan), where=energy > 0, out=np.full(energy.shape, np.inf))
 
     def _beta(self) -> tuple[Array, Array]:
         mean = self.edf / self.m
@@ -91,6 +92,7 @@ class EnergyTest:
         free = mean * (1 - mean) / np.maximum(variance, np.finfo(float).tiny) - 1
         return mean * free, (1 - mean) * free
 
+    @cached_property
     def _needed(self) -> Array:
         """Energy of a response that 95 % of all noise lifts above the threshold."""
         from scipy.special import betaincinv, gammainccinv
@@ -104,6 +106,59 @@ class EnergyTest:
         above, b = np.maximum(threshold - self.edf, 0.0), 2 * SURE**2
         x = above + b + np.sqrt(b**2 + 2 * b * above + 2 * SURE**2 * self.edf2)
         return np.asarray(self.level**2 * x)
+
+
+@dataclass(frozen=True, eq=False)
+class SupportTest:
+    """Energy that a few waveforms explain, which were picked from many.
+
+    Of noise alone that of k waveforms is a chi-square of k degrees of freedom, or its share of the data a beta variable
+    where the level is not known; the smallest chance counts as many times as there are supports of that size.
+
+    Parameters
+    ----------
+    energies : mapping of int to float
+        Number of waveforms -> what they explain of ``whole``.
+    atoms, m : int
+        Waveforms to pick from, and data.
+    whole : float
+        y^T y.
+    sigma : float or None
+        Noise level of the whitened data, where it is known.
+    """
+
+    energies: Mapping[int, float]
+    atoms: int
+    m: int
+    whole: float
+    sigma: float | None
+
+    @property
+    def level(self) -> float:
+        """Noise level, as that of `EnergyTest`."""
+        return ROUGH * self.sigma if self.sigma is not None else float(np.sqrt(self.whole / self.m))
+
+    @property
+    def chance(self) -> float:
+        """That noise alone is explained as well, by some support."""
+        from scipy.stats import beta, chi2
+
+        each = []
+        for count, energy in self.energies.items():
+            if self.sigma is not None:
+                log = chi2.logsf(energy / self.level**2, count)
+            else:
+                share = float(np.clip(energy / self.whole, 0.0, 1.0))
+                log = beta.logsf(share, count / 2, max(self.m - count, 1) / 2)
+            each.append(float(log) + log_supports(self.atoms, count))
+        return float(np.exp(min(0.0, np.log(len(each)) + min(each))))
+
+    @property
+    def least(self) -> float:
+        """Norm of the response of one waveform that would have been told in 95 % of all cases."""
+        from scipy.special import ndtri
+
+        return float(-ndtri(CHANCE / (2 * len(self.energies) * self.atoms)) + SURE) * self.level
 
 
 def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> EnergyTest | None:
@@ -121,7 +176,8 @@ def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> En
     path = path.unconstrained
     if path.energy is None or path.stacked or (sigma is None and path.m < FEWEST):
         return None
-    first = _tested(path, np.array([max(lam, path.range[0])]), sigma, bounded=True)
+    at = lam if lam > 0 else path.range[0]  # the range of a long record costs more than all else that is asked here
+    first = _tested(path, np.array([at]), sigma, bounded=True)
     if first is None or first.chance < PLAIN:
         return None
     found = _tested(path, np.geomspace(max(path.range[0], LOWEST), 1.0, TRIED), sigma)

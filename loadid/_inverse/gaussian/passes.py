@@ -68,7 +68,7 @@ def run_blocks(
 def _width(system: Filter) -> int:
     """Samples of a block, a power of two: near the least work of the products."""
     n, (outputs, inputs) = len(system.A), system.D.shape
-    best = np.log2(max(3.0 * n / np.sqrt(inputs * outputs), 1.0))
+    best = np.log2(max(3.0 * n / np.sqrt(max(inputs * outputs, 1)), 1.0))
     return int(np.clip(2 ** round(best), SMALLEST, LARGEST))
 
 
@@ -332,6 +332,11 @@ def forward(record: WhitenedRecord, gains: Gains, u: Array, start: Array) -> tup
         walk = _forward_steady if steady else forward_by_samples
         x = walk(record, gains, part, u[part], x, w[part], g[part], r[part])
     return w, g, r
+
+
+def without_sensors(record: WhitenedRecord) -> WhitenedRecord:
+    """The record for passes that get no data and whose response nobody asks for."""
+    return replace(record, C=record.C[:, :0], D=record.D[:, :0], y=record.y[:, :0])
 
 
 def runs(record: WhitenedRecord, gains: Gains) -> list[tuple[int, int, bool]]:

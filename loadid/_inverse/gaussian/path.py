@@ -17,7 +17,7 @@ from ..interpolation import SplineTable, Values, powers_of_rest
 from ..path import PathPoint, RegularizationPath, Solution
 from .gains import Gains, feedback, gains
 from .passes import Solved, backward, forward, gradient, refined, solve
-from .posterior import StateSpacePosterior, variances
+from .posterior import LoadVariances, StateSpacePosterior, variances
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -182,6 +182,7 @@ class StateSpacePath(RegularizationPath):
         self._kept: dict[float, tuple[Gains, Solved]] = {}
         self._errors: dict[float, SplineTable] = {}
         self._pilot: tuple[float, Solved] | None = None
+        self._known: tuple[Gains, LoadVariances] | None = None  # of the last lambda that was asked alone
 
     def _unforced(self) -> float:
         """Log det of what the data tell of the free states alone; refused where that is nothing."""
@@ -236,7 +237,9 @@ class StateSpacePath(RegularizationPath):
     def _alone(self, lam: Array) -> PathPoint:
         """Exact scalars at one lambda, without those that need its neighbours."""
         at = float(lam.reshape(-1)[0])
-        own = self._own[at] = self._own.get(at) or self.scalars(at)
+        if at not in self._own:
+            self._own[at] = self.scalars(at)
+        own = self._own[at]
 
         def shaped(x: float) -> Array:
             return np.full(lam.shape, x)
@@ -333,12 +336,15 @@ class StateSpacePath(RegularizationPath):
         return solve(self.record, held, y)
 
     def _posterior(self, held: Gains, sigma: float) -> StateSpacePosterior:
-        return StateSpacePosterior(self.record, held.lam, sigma, held)
+        known = self._known
+        of_each = known[1].variance if known is not None and known[0] is held else None
+        return StateSpacePosterior(self.record, held.lam, sigma, held, of_each)
 
     def scalars(self, lam: float) -> Scalars:
         """Everything at one relative lambda."""
         held, solved = self._solved(lam)
-        known = variances(self.record, held, every_sample=False)
+        known = variances(self.record, held, every_sample=self.record.samples <= KEPT)
+        self._known = held, known
         rest = self.record.y - solved.response
         count = self.unknowns + self.null
         change2 = bend = 0.0

@@ -31,7 +31,7 @@ from .compiled import (
     subtract,
 )
 from .gains import Gains, feedback, gains
-from .passes import Solved, backward, forward, solve
+from .passes import Solved, backward, forward, solve, without_sensors
 from .record import WhitenedRecord
 from .roots import Array
 
@@ -88,7 +88,7 @@ def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: A
     Kailath, Kung & Morf, J. Math. Anal. Appl. 68 (1979) 395, for the displacement of an inverse.
     """
     trace, penalty, variance = 0.0, 0.0, np.zeros((record.samples if every_sample else 1, len(read)))
-    for inputs, load, _, stays in columns(record, gains):
+    for inputs, load, _, stays in columns(record, gains, heard=False):
         square, times = (load @ read.T) ** 2, np.arange(len(load), 0, -1.0)[:, None] if stays else 1.0
         trace += float(np.sum(times * square))
         penalty += float(np.sum(times * inputs**2))
@@ -97,20 +97,23 @@ def _displaced(record: WhitenedRecord, gains: Gains, every_sample: bool, read: A
     return LoadVariances(variance if every_sample else None, trace, float(gains.lam**2 * penalty))
 
 
-def columns(record: WhitenedRecord, gains: Gains) -> Iterator[tuple[Array, Array, Array, bool]]:
+def columns(record: WhitenedRecord, gains: Gains, *, heard: bool = True) -> Iterator[tuple[Array, Array, Array, bool]]:
     """Inputs, loads and responses whose squares make the variances, up to the last sample; whether they stay in later.
 
     The closed loop's response to the first input; what one more datum at the end would have told of the inputs before
-    it; and, for its own sample alone, the response to what is not known of the start.
+    it; and, for its own sample alone, the response to what is not known of the start. Where they are not `heard`, the
+    responses have no columns, and a pass costs half.
     """
     from scipy.linalg import solve_triangular
 
     n, p, m, still = record.n, record.p, record.m, np.zeros((record.samples, record.p))
+    C, D, silent = record.C[record.kind[0]], record.D[record.kind[0]], without_sensors(record)
+    record = record if heard else silent
     for first in np.linalg.solve(gains.R[gains.which[0]], np.eye(p)).T:
         yield *forward(record, gains, np.vstack([first, still[1:]]), np.zeros(n)), True
     short, fewer = replace(record, kind=record.kind[1:], y=record.y[1:]), replace(gains, which=gains.which[1:])
-    C, D = record.C[record.kind[0]], record.D[record.kind[0]]
-    told = np.array([backward(short, fewer, np.zeros((len(short.y), m)), None, last)[0] for last in C])
+    alone = replace(silent, kind=short.kind, y=silent.y[1:])
+    told = np.array([backward(alone, fewer, alone.y, None, last)[0] for last in C])
     scaled = np.einsum("kab,ikb->ika", gains.R[fewer.which], told, optimize=True).reshape(m, -1)
     root = np.linalg.qr(np.vstack([np.eye(m), D.T / gains.lam, scaled.T]), mode="r")  # of the datum's own variance
     for drive in solve_triangular(root, told.reshape(m, -1), trans="T").reshape(told.shape):
@@ -240,19 +243,23 @@ class StateSpacePosterior:
         Noise level of the whitened data.
     held : Gains, optional
         Gains at `lam`, where they are at hand.
+    variance : array, shape (samples, loads), optional
+        At unit noise, where it is at hand.
     """
 
     kind = "statespace"
 
-    def __init__(self, record: WhitenedRecord, lam: float, sigma: float, held: Gains | None = None) -> None:
+    def __init__(
+        self, record: WhitenedRecord, lam: float, sigma: float, held: Gains | None = None, variance: Array | None = None
+    ) -> None:
         self.record, self.lam, self.sigma = record, float(lam), float(sigma)
-        self._held = held
+        self._held, self._variance = held, variance
         self.shape = (record.samples, record.p)
 
     @cached_property
     def std(self) -> Array:
         """Standard deviation, shape (samples, loads)."""
-        return self.sigma * np.sqrt(self._variances(self.held))
+        return self.sigma * np.sqrt(self._variances(self.held) if self._variance is None else self._variance)
 
     @cached_property
     def noise_std(self) -> Array:

@@ -15,6 +15,7 @@ from structures.errors import InputError
 from .radial import RadialBasis
 
 Array = NDArray[np.float64]
+SHEAR = 5 / 6  # of the area that carries the shear, as E. Reissner has it
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class ThinPlate:
         m = rho h in kg/m^2.
     alpha, beta, ratio : float
         Rayleigh damping, and the damping ratio of every mode. That term is exact where all edges are simply supported.
+    nu : float
+        Poisson's ratio.
+    turning : float
+        ``r^2`` (m^2) of the inertia ``-m r^2 nabla^2 w_tt`` of rotation and shear; of short waves, 0 where the
+        thickness is not known.
     """
 
     lengths: tuple[float, float]
@@ -43,6 +49,8 @@ class ThinPlate:
     alpha: float = 0.0
     beta: float = 0.0
     ratio: float = 0.0
+    nu: float = 0.3
+    turning: float = 0.0
 
     @property
     def size(self) -> float:
@@ -74,7 +82,7 @@ def thin_plate(structure: Structure, *, moving: bool = True) -> ThinPlate:
     """What the equation of motion asks of a plate of `structures.plates`.
 
     Rigidity and mass are read off its matrices, so that a plate that was scaled is the plate it is: D a b is twice the
-    energy of w = x^2 / 2, and rho h a b that of w = 1.
+    energy of w = x^2 / 2, rho h a b that of w = 1, and D nu a b is what x^2 / 2 and y^2 / 2 have in common.
 
     Raises
     ------
@@ -102,12 +110,18 @@ def thin_plate(structure: Structure, *, moving: bool = True) -> ThinPlate:
     places = structure.coordinates
     assert places is not None
     x = places[:, 0] - field.x.origin
+    y = places[:, 1] - field.y.origin
     bent = np.column_stack([x**2 / 2, x, 0 * x, 0 * x]).ravel()
+    across = np.column_stack([y**2 / 2, 0 * y, y, 0 * y]).ravel()
     rigid = np.column_stack([1 + 0 * x, 0 * x, 0 * x, 0 * x]).ravel()
     D = float(bent @ (structure.K @ bent)) / (a * b)
     mass = float(rigid @ (structure.M @ rigid)) / (a * b) if structure.M is not None else 0.0
+    nu = float(across @ (structure.K @ bent)) / (a * b * D)
+    thick = 2 * field.outer if field.outer else 0.0
+    turning = thick**2 / 12 * (1 + 2 / (SHEAR * (1 - nu)))
     alpha, beta, ratio = _damping(structure) if moving else (0.0, 0.0, 0.0)
-    return ThinPlate((a, b), (field.x.origin, field.y.origin), _edges(structure, field), D, mass, alpha, beta, ratio)
+    return ThinPlate((a, b), (field.x.origin, field.y.origin), _edges(structure, field), D, mass, alpha, beta, ratio,
+                     nu, turning)  # fmt: skip
 
 
 def _damping(structure: Structure) -> tuple[float, float, float]:

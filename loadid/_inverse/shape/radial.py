@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from structures._readonly import ReadOnly
 
+from .edged import EdgedLoads
+
 Array = NDArray[np.float64]
 FALL = 4  # of the weights: -2 of a deflection whose load is even, -2 of one whose second derivatives are
 WIDEST = 0.35  # smallest shape parameter, times the longer side
@@ -64,11 +66,14 @@ class RadialBasis(ReadOnly):
         S, C or F for x = 0, y = 0, x = a, y = b, as `plates.plate` has it.
     shape : float
         Largest shape parameter: the reciprocal of the narrowest function's width.
+    ends : EdgedLoads, optional
+        Pressures that do not vanish at the edges, as large as those of the functions, with their deflections.
     """
 
     sides: tuple[float, float]
     edges: str
     shape: float
+    ends: EdgedLoads | None = None
 
     @cached_property
     def scales(self) -> tuple[_Scale, ...]:
@@ -96,8 +101,7 @@ class RadialBasis(ReadOnly):
         Of coefficients c ~ N(0, 1) the edges read ``B c = 0`` to within `HELD`: with ``B = U S V^T`` their covariance
         is ``1 - V (1 - share)^2 V^T``, its root ``1 - V share V^T``, and ``share = 1 - (1 + S^2 / HELD^2)^-1/2``.
         """
-        x, y = (np.linspace(0.1, 0.9, 5) * side for side in self.sides)
-        middle = self.bare(np.tile(x, 5), np.repeat(y, 5))
+        middle = self.bare(*self._inside())
         size = float(np.sqrt(np.mean(np.sum(middle**2, axis=1))))
         B = self._rim()
         if not len(B):
@@ -107,11 +111,30 @@ class RadialBasis(ReadOnly):
 
     def rows(self, x: Array, y: Array, dx: int = 0, dy: int = 0) -> Array:
         """Rows (points, functions) of a derivative of deflections that the edges hold, of size one."""
-        return self._obeying(self.bare(x, y, dx, dy))
+        rows = self._obeying(self.bare(x, y, dx, dy))
+        return rows if self.ends is None else np.hstack([rows, self._pressed * self.ends.rows(x, y, dx, dy)])
 
     def biharmonic(self, x: Array, y: Array) -> Array:
         """Rows of w_xxxx + 2 w_xxyy + w_yyyy."""
+        rows = self._bent(x, y)
+        return rows if self.ends is None else np.hstack([rows, self._pressed * self.ends.loads(x, y)])
+
+    def _bent(self, x: Array, y: Array) -> Array:
         return self._obeying(self.bare(x, y, 4, 0) + 2 * self.bare(x, y, 2, 2) + self.bare(x, y, 0, 4))
+
+    def sizes(self, edged: float) -> Array:
+        """Factors (functions,) of the columns, with pressures at the edges of this size; 0: none."""
+        count = sum(scale.x.size * scale.y.size for scale in self.scales)
+        return np.r_[np.ones(count), np.full(0 if self.ends is None else self.ends.count, edged)]
+
+    @cached_property
+    def _pressed(self) -> float:
+        """Std of the load that the radial functions expect, away from the edges."""
+        return float(np.sqrt(np.mean(np.sum(self._bent(*self._inside()) ** 2, axis=1))))
+
+    def _inside(self) -> tuple[Array, Array]:
+        x, y = (np.linspace(0.1, 0.9, 5) * side for side in self.sides)
+        return np.tile(x, 5), np.repeat(y, 5)
 
     def _obeying(self, rows: Array) -> Array:
         V, share, size = self.held

@@ -11,7 +11,7 @@ const faults = new Map();  // of each kind of work, until it succeeds
 const fault = (work, text) => {
   const place = document.getElementById("fault");
   faults.set(work, text);
-  place.textContent = [...new Set(faults.values())].join(" ").trim();
+  place.textContent = [...new Set(faults.values())].filter(Boolean).join("; ");
   place.hidden = !place.textContent;
 };
 
@@ -24,24 +24,24 @@ const working = by => {
   else if (by > 0 && open === 1) patience = setTimeout(() => { place.textContent = "computing …"; }, 300);
 };
 
-const answered = async (address, options) => {
+const answered = async (address, options, quietly = false) => {
   let found;
-  working(1);
+  if (!quietly) working(1);
   try {
     found = await fetch(address, { method: "POST", cache: "no-store", ...options });
   } catch {
     throw new Error("the server does not answer: has it been ended?");
   } finally {
-    working(-1);
+    if (!quietly) working(-1);
   }
   const json = (found.headers.get("Content-Type") ?? "").startsWith("application/json");
   if (!found.ok) throw new Error(json ? (await found.json()).error : `the server said ${found.status}`);
   return json ? found.json() : { blob: await found.blob(), name: /filename="([^"]*)"/.exec(found.headers.get("Content-Disposition") ?? "")?.[1] };
 };
 
-// ask a call of this page; an Error with a sentence where it is refused
-export const ask = (call, parameters = {}) => answered(`/${page}/${call}`, {
-  headers: { "Content-Type": "application/json", "X-Lab-Token": token }, body: JSON.stringify(parameters) });
+// ask a call of this page; an Error with a sentence where it is refused. Quietly: nobody waits for the answer
+export const ask = (call, parameters = {}, quietly = false) => answered(`/${page}/${call}`, {
+  headers: { "Content-Type": "application/json", "X-Lab-Token": token }, body: JSON.stringify(parameters) }, quietly);
 
 // send a File to a call that takes an upload
 export const upload = (call, file, parameters = {}) => answered(`/${page}/${call}`, {
@@ -125,11 +125,11 @@ export const controls = (form, changed) => {
   return { values, set };
 };
 
-// numbers beside a picture: <dl class="numbers"> from [[name, text, loud?], ...]
+// numbers beside a picture: <dl class="numbers"> from [[name, text, look?], ...]; look is true for a loud one, or a class
 export const readouts = (place, rows) => {
-  place.replaceChildren(...rows.map(([name, text, loud]) => {
+  place.replaceChildren(...rows.map(([name, text, look]) => {
     const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
-    dt.textContent = name; dd.textContent = text; box.className = loud ? "loud" : "";
+    dt.textContent = name; dd.textContent = text; box.className = look === true ? "loud" : look || "";
     box.append(dt, dd);
     return box;
   }));
@@ -174,7 +174,7 @@ const ends = (axis, series, keys) => {
 // series: {kind, x, y, name, look} with kind "line" (default), "steps", "stems", "dots", "bars" (y from 0; `width` in x),
 // or "band" (y, y2). look is a class of the style: truth, estimate, measured, naive, level, used, other0 ... other5, each
 // with its own dash; dots take a `shape` of SHAPES. pick(x, y) is called with the place of a click, for pointers: give the
-// keyboard a slider for it. Returns {left}: the largest size of what leaves a y axis that is fixed, or null.
+// keyboard a slider for it. What leaves a y axis that is fixed is said below the picture.
 const drawings = new Map();
 const draw = (figure, plot) => {
   const { x, y, series } = plot, width = Math.max(figure.clientWidth, 200), height = plot.height ?? 260;
@@ -200,12 +200,13 @@ const draw = (figure, plot) => {
     text.append(node("text", { x: pad.left - 7, y: py(value) + 4, "text-anchor": "end" }, written(value)));
   }
   const inside = node("g", { "clip-path": `url(#${id})` });
-  let left = null;
+  let top = null, bottom = null;
   const base = py(y.log ? y0 : clamp(0, y0, y1));
   for (const one of series) {
     const kind = one.kind ?? "line", look = one.look ?? "", n = Math.min(one.x.length, one.y.length);
     if (y.low !== undefined && kind !== "band") for (const value of one.y)
-      if (value !== null && (value > y1 || value < y0) && !(y.log && value <= 0)) left = Math.max(left ?? 0, Math.abs(value));
+      if (value !== null && value > y1) top = Math.max(top ?? value, value);
+      else if (value !== null && value < y0 && !(y.log && value <= 0)) bottom = Math.min(bottom ?? value, value);
     if (kind === "band") {
       const up = [], down = [];
       for (let i = 0; i < n; i++) if (good(one, i) && one.y2[i] !== null) {
@@ -263,9 +264,9 @@ const draw = (figure, plot) => {
   for (const one of series) if (one.name) key.append(keyed(one));
   caption.append(title, key);
   note.className = "note";
-  note.textContent = left === null || plot.silent ? "" : `The curve leaves the picture: its largest value is ${written(left)}.`;
+  const reached = [[top, "largest"], [bottom, "smallest"]].filter(([value]) => value !== null).map(([value, name]) => `its ${name} value is ${written(value)}`);
+  note.textContent = reached.length && !plot.silent ? `The curve leaves the picture: ${reached.join(", ")}.` : "";
   figure.replaceChildren(caption, axis, svg, ...(y.low !== undefined && !plot.silent ? [note] : []));
-  return { left };
 };
 const keyed = one => {
   const item = document.createElement("span"), kind = one.kind ?? "line", look = one.look ?? "";
@@ -288,9 +289,8 @@ const kept = (figure, again) => {
   drawings.set(figure, { width: figure.clientWidth, again });
 };
 export const plot = (figure, given) => {
-  const found = draw(figure, given);
+  draw(figure, given);
   kept(figure, () => draw(figure, given));
-  return found;
 };
 
 // -- maps -------------------------------------------------------------------------------------------------------------

@@ -101,6 +101,11 @@ class NetworkEngine:
         beyond = sum(s.wide * (s.shape[2] // 2) for s in self.network.steps if len(s.shape) == 3)
         return self.linear.reach + beyond
 
+    @property
+    def of_constant(self) -> Array:
+        """What outputs make of readings that are 1 all the time (sensors, outputs): by the linear map below."""
+        return self.linear.of_constant
+
     def predict(self, data: Array) -> tuple[Array, Array]:
         """Outputs and their std (n, [samples,] outputs) of whitened data (n, [samples,] sensors)."""
         parts = [self._part(data[k : k + CHUNK]) for k in range(0, len(data), CHUNK)] or [self.linear.predict(data)]

@@ -1,13 +1,13 @@
 """The force on a skin, on bodies that no map has seen: a network for the resultant beside every other way to it.
 
 After FeelAnyForce (ICRA 2025), which regresses the resultant from images; here presses, gels and camera are those of
-`tests.benchmarks.learned_skin`, markers are seen in the plane alone, and all ways stand in one table: `MultilayerPad`
+`case_studies.learned_skin`, markers are seen in the plane alone, and all ways stand in one table: `MultilayerPad`
 by
 itself and with pressures that may not pull, the best linear map and the network, as maps whose tractions are summed and
 as maps of the resultant itself. Errors are means over presses with square, ring and bar, which are in no training set,
 over the range of each force in that set.
 
-Run ``python -m tests.benchmarks.learned_resultant [DRAWS]``:
+Run ``python -m case_studies.learned_resultant [DRAWS]``:
 prints the table and saves ``learned_resultant.png``; draws
 are kept in the folder ``learned_skin``.
 """

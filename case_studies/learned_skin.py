@@ -10,10 +10,9 @@ exactly those that the inverse believes in. The map is judged on presses of anot
 A map's error is the L2 norm of what is wrong with its tractions at all nodes over that of the truth: the median over
 the presses. In the plane alone the pressure is hardly seen; with a depth map it is.
 
-Run ``python -m tests.benchmarks.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``.
-5000 draws take a
-quarter of an hour of one core; what was drawn stays in the folder ``learned_skin``, and a second run takes it from
-there.
+Run ``python -m case_studies.learned_skin [DRAWS]``: prints the table and saves ``learned_skin.png``. 5000 draws take a
+quarter of an hour of one core; what was drawn stays in the folder ``learned_skin``, and a second run takes
+it from there.
 """
 
 from __future__ import annotations
