@@ -287,7 +287,8 @@ def expected(sets: Sequence[CandidateSensors], amplitude: ArrayLike | None, snr:
     if not np.any(rows):
         raise InputError(
             "no load moves any sensor", where=where, found="a transfer matrix of zeros", expected="some response",
-            hint="layouts are judged by static loads, which accelerometers and AC-coupled sensors do not see; " + DYNAMIC,
+            hint=f"layouts are judged by static loads, which accelerometers and AC-coupled sensors do not see; "
+            f"{DYNAMIC}",
         )  # fmt: skip
     if amplitude is not None:
         if snr is not None or any(c.noise is None for c in sets):
