@@ -158,7 +158,7 @@ def expect(
         used = responses_of(record, model, responses)
         dt = used.dt
         told = noise_std(used) if given is None and model.noise is None else None
-        given, said = (given, said) if told is None else (told[0], str(told[1]))
+        given, said = (given, said) if told is None else (told[0], f"of the {told[1]}")
     if model.gives("impulse_response") or model.gives("frf"):
         try:
             findings.forecast = forecast(model, pulse=hit, noise=given, noise_source=said, dt=dt)

@@ -10,6 +10,7 @@ from structures.files import _storage as storage
 from . import Bar, Command, channels, count, emit, load_model, positive, require_outputs, stds
 
 CRITERIA = ("D", "worst")
+UNSEEN = 0.995  # std over size of a load that no reading says anything of
 EXAMPLES = """\
 examples:
   a model whose sensors are all that could be placed, made by loadid model with one --sensor for each:
@@ -64,7 +65,9 @@ def _run(args: Namespace) -> int:
         written.append(str(args.plot))
     layout = found.layout
     worst = layout.worst
-    known = f"load {layout.loads[worst]} is known to {layout.share[worst]:.1%} of its size"
+    known = f"the load known least, {layout.loads[worst]}, to ±{layout.share[worst]:.1%} of its size (std)"
+    if layout.share[worst] > UNSEEN:
+        known = f"the load known least, {layout.loads[worst]}, is not seen by them"
     first = f"place {', '.join(found.sensors)}: {known}"
     last = [f"written: {', '.join(written)}"] if written else []
     data: dict[str, Any] = {**found.to_dict(), "sensors": list(found.sensors), "written": written}

@@ -424,7 +424,7 @@ def _located(args: Namespace, job: Mapping[str, Any], found: LocationResult, kep
     for path, data in [*ready, (kept, text.encode())]:
         storage.replace(path, data)
     written = [str(job["output"]), *(str(path) for path, _ in ready), str(kept)]
-    lines = [found.summary()]
+    lines = [found.summary(command=True)]
     if found.estimate is not None:
         lines.append(summary(found.estimate, details=args.details, command=True))
     full = {} if found.estimate is None else {"estimate": found.estimate.to_dict(arrays=args.json_full)}

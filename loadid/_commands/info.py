@@ -5,7 +5,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import structures
 from structures._advice import on_command_line
@@ -13,10 +15,15 @@ from structures._flags import table as codes
 from structures.files import _storage as storage
 
 from .._results.summary import quantity, summary
-from . import Command, add_details, add_log_options, emit, read_records, settings, table
+from . import Command, add_details, add_log_options, emit, load_model, read_records, settings, table
 from .calibrate import describe as describe_hits
 from .calibrate import show as show_hits
 
+if TYPE_CHECKING:
+    from structures._model import Model
+
+MODELS = ("forward model", "modal model", "state space")  # kinds of files
+FIRST = 10  # natural frequencies that are listed
 EXAMPLES = """\
 examples:
   channels, units, rate and health of a log; of one record of several:
@@ -110,6 +117,8 @@ def info(
         return {"kind": kind, "file": str(path), **_model(path)}
     if kind == "table of FRFs":
         return {"kind": kind, "file": str(path), "content": _table(path)}
+    if kind in MODELS:
+        return {"kind": kind, "file": str(path), "content": _dynamic(load_model(path))}
     return {"kind": kind, "file": str(path), "content": _outline(storage.read(path, kind))}
 
 
@@ -157,12 +166,36 @@ def _model(path: str | Path) -> dict[str, Any]:
     }
 
 
+def _channels(model: Model) -> dict[str, str]:
+    """Sensors and loads in words."""
+    return {
+        "sensors": ", ".join(f"{c.label} [{c.unit}]" for c in model.sensors),
+        "loads": ", ".join(f"{c.label} [{c.unit}]" for c in model.loads),
+    }
+
+
+def _dynamic(model: Model) -> dict[str, Any]:
+    """What a model that knows its structure, its modes or its states tells of itself."""
+    f = model.natural_frequencies
+    modes = [] if f is None else [x for x in np.atleast_1d(f).tolist() if np.isfinite(x)]
+    shown = ", ".join(f"{x:.5g}" for x in modes[:FIRST]) + (f" and {len(modes) - FIRST} more" * (len(modes) > FIRST))
+    structure = model.structure
+    return {
+        **_channels(model),
+        **({} if structure is None else {"structure": f"{len(structure.dofs)} degrees of freedom"}),
+        **({"natural frequencies": f"{shown} Hz"} if modes else {}),
+        **({} if model.dt is None else {"step": f"{model.dt:.6g} s"}),
+        "verification": str(model.certificate or "forward model not verified"),
+        "flags": "; ".join(f"{f.code}: {f.message}" for f in model.flags) or "none",
+        "fingerprint": model.fingerprint[:16],
+    }
+
+
 def _table(path: str | Path) -> dict[str, Any]:
     """What a table of FRFs covers."""
     model = structures.FrfModel.load(path)
     return {
-        "sensors": ", ".join(f"{c.label} [{c.unit}]" for c in model.sensors),
-        "loads": ", ".join(f"{c.label} [{c.unit}]" for c in model.loads),
+        **_channels(model),
         "lines": f"{len(model.frequencies)}, {model.frequencies[0]:.6g} to {model.frequencies[-1]:.6g} Hz",
         "errors": "none stated" if model.variance is None else "variance of every FRF",
         "verification": str(model.certificate or "forward model not verified"),

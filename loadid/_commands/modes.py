@@ -125,8 +125,9 @@ def show(data: dict[str, Any]) -> str:
 
 def _head(data: dict[str, Any]) -> str:
     low, high = data["band"]
-    sizes = f"{len(data['sensors'])} sensors, {len(data['loads'])} loads"
-    return f"{len(data['modes'])} modes from {low:.5g} to {high:.5g} Hz; {sizes}"
+    counts = ((len(data[name]), name[:-1]) for name in ("modes", "sensors", "loads"))
+    modes, *sizes = (f"{count} {word}{'s' * (count != 1)}" for count, word in counts)
+    return f"{modes} in the band of {low:.5g} to {high:.5g} Hz; {', '.join(sizes)}"
 
 
 def _configure(parser: ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from structures._advice import Advice, Option
 from structures._flags import Evidence, Flag
 from structures._model import Model
 from structures.errors import InputError, NotIdentifiable
@@ -79,8 +80,12 @@ def without_offsets(data: Data, model: Model, *, at_rest: bool, allow: tuple[str
             raise NotIdentifiable(
                 f"channel {channel.label} stands {offset.value:.4g} {channel.unit} off zero before the response "
                 f"({offset.shown_by}): an offset of the sensor, or a load from before the record",
-                advice="subtract it from the channel where the structure was unloaded; where it carried a load, take "
-                'the start as unknown (initial="unknown", state-space models)',
+                advice=Advice(
+                    "subtract it from the channel where the structure was unloaded; where it carried a load, "
+                    "take the start as unknown (",
+                    Option("initial", "unknown"),
+                    ", state-space models)",
+                ),
                 code="LID-E213",
             )
     values = np.where(data.missing, 0.0, data.values - taken)

@@ -231,8 +231,11 @@ def memory(
         f"the record is shorter than the memory: {left:.1%} of the response is left at its end, so "
         f"{'start and end are contaminated' if periodic else 'any motion from before it would come out as load'}"
         f"{_periods(frequencies, duration)}",
-        f"record longer{_enough(decay_rate, duration)}, begin before the load, or take the start as unknown "
-        '(initial="unknown", state-space models)',
+        Advice(
+            f"record longer{_enough(decay_rate, duration)}, begin before the load, or take the start as unknown (",
+            Option("initial", "unknown"),
+            ", state-space models)",
+        ),
         state=not periodic,
     )
 

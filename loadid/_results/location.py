@@ -204,8 +204,8 @@ class LocationResult:
         score = self.scores.min(axis=0)
         return tuple((self.labels[j], float(score[j])) for j in np.argsort(score, kind="stable"))
 
-    def summary(self) -> str:
-        """What a user must read, as text."""
+    def summary(self, *, command: bool = False) -> str:
+        """What a user must read, as text; `command`: advice in the words of the command line."""
         lines = [f"load {k + 1} of {len(self.best)}: {w}" for k, w in enumerate(self.where)]
         noise = self.facts.residual_to_noise
         lines.append(
@@ -219,7 +219,7 @@ class LocationResult:
         lines += [f"candidates within chi-square of the best: {', '.join(p[:LISTED])}" for p in self.plausible]
         lines += [f"other place: {r.label} {_coordinates(r.place)}, residual ratio {r.ratio:.4f}" for r in self.rivals]
         lines += [f"same data at: {', '.join(g)}" for g in self.alike[:LISTED]]
-        lines += [str(f) for f in self.flags]
+        lines += [f.command if command else str(f) for f in self.flags]
         return "\n".join(lines)
 
     def plot(

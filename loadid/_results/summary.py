@@ -112,7 +112,8 @@ def against(estimate: LoadEstimate, truth: Any, load: int = 0) -> dict[str, Any]
     -------
     dict
         ``error`` (relative, L2), ``peak_error`` (relative, signed), ``coverage_95`` (share of all samples inside the
-        95 % band) and, where the load is one short pulse, ``window`` and ``coverage_95_peak`` of it; else None.
+        95 % band), ``learned`` (that band is of a variance that changes with time) and, where the load is one short
+        pulse, ``window`` and ``coverage_95_peak`` of it; else None.
     """
     amplitudes = estimate.load.dtype.kind == "c"
     found, known = estimate.load[:, load], np.asarray(plain(truth), complex if amplitudes else float)
@@ -130,6 +131,7 @@ def against(estimate: LoadEstimate, truth: Any, load: int = 0) -> dict[str, Any]
         "coverage_95": float(np.mean(inside)),
         "coverage_95_peak": near,
         "window": window,
+        "learned": estimate.facts.get("variance") == "local",
     }
 
 
@@ -145,6 +147,8 @@ def comparison(error: dict[str, Any]) -> str:
     text += f" and {share(error['coverage_95_peak'])} of those around the peak ({start} to {stop})"
     if error["coverage_95_peak"] >= NARROW:
         return text
+    if error.get("learned"):
+        return f"{text}\ncaution: the band is too narrow around the peak, or the known load has errors of its own"
     return (
         f"{text}\ncaution: do not read the band as 95 % around the peak: it is that of a load of one variance "
         "throughout, and a hit is none"

@@ -393,7 +393,7 @@ def test_of_noise_no_number_is_to_be_used(run: Any, tmp_path: Path, folder: Path
     few = "deconvolution,smooth"
     code, out, _ = run("compare", tmp_path / "noise.csv", "--model", folder / "model.h5", "--families", few)
     assert code == 1
-    assert "no load is told from noise (deconvolution)" in out
+    assert "no load is told from noise (deconvolution, smooth)" in out
     words = ("compare", folder / "log.csv", "--model", folder / "model.h5", "--families", few)
     told = json.loads(run(*words, "--json")[1])
     assert told["usable"]

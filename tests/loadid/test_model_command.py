@@ -122,3 +122,20 @@ def test_what_is_missing_is_named(run, tmp_path):
         found, _, err = run(*argv)
         assert found == code
         assert said in err
+
+
+def test_info_of_a_model_says_what_it_is(run, tmp_path):
+    """Sensors, loads and frequencies in place of the arrays of its file."""
+    from loadid import datasets
+
+    model = datasets.hammer_test().model
+    model.save(tmp_path / "beam.h5")
+    model.state_space(1e-4).save(tmp_path / "states.h5")
+    for name in ("beam.h5", "states.h5"):
+        code, out, _ = run("info", tmp_path / name)
+        assert code == 0
+        for said in ("acc1 [m/s^2], acc2 [m/s^2]", "loads: hammer [N]", "forward model not verified"):
+            assert said in out
+        assert "float64" not in out
+        assert len(out.splitlines()) < 12
+    assert f"{model.natural_frequencies[0]:.5g}" in run("info", tmp_path / "beam.h5")[1]

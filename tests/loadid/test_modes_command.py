@@ -59,7 +59,7 @@ def test_frfs_to_a_table_a_picture_and_a_model(run: Any, folder: Path) -> None:
 def test_what_people_read(run: Any) -> None:
     code, out, _ = run("bare.h5 --band 20:140")
     assert code == 0
-    assert "5 modes from 20 to 140 Hz; 4 sensors, 1 loads" in out
+    assert "5 modes in the band of 20 to 140 Hz; 4 sensors, 1 load\n" in out
     assert "no driven point" in out
 
 
