@@ -201,8 +201,8 @@ class LearnedSensor(MarkedSensor):
             "provided": self.sensor.provided(self.depth is not None),
             "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}{self._known}",
         })  # fmt: skip
-        sums = shared @ self.sensor.resultant.T
-        covariance = self._band.covariance(own, self.sensor.resultant) + sums.T @ sums
+        felt = self.sensor.resultant @ shared.T
+        covariance = self._band.covariance(own, self.sensor.resultant) + felt @ felt.T
         told_by_set = (*flags, *self.fitted.span_flags)
         return self.sensor.answered(load, std, covariance, facts, flags=told_by_set, provenance=self._about)
 
