@@ -166,7 +166,7 @@ def plates():
 def test_every_family_runs_on_a_reduced_model(plates, family):
     """Data of the whole model, an answer of the reduced one."""
     whole, small = plates
-    rng, dt, samples = np.random.default_rng(1), 1e-4, 44
+    rng, dt, samples = np.random.default_rng(1), 1e-4, 60
     still, lines = np.array([10.0, 4.0]), np.linspace(300.0, 2000.0, 40)
     pulse = np.zeros((samples, 2))
     pulse[20:36, 0] = 10 * np.sin(np.pi * (np.arange(16) + 0.5) / 16) ** 2
