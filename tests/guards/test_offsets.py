@@ -132,7 +132,7 @@ def test_a_constant_that_a_load_may_have_made_is_refused() -> None:
     with pytest.raises(NotIdentifiable, match="off zero before the response") as refused:
         family.estimate(shifted, DT)
     assert refused.value.code == "LID-E213"
-    assert 'initial="unknown"' in str(refused.value)
+    assert "initial='unknown'" in str(refused.value)
     family.estimate(measured(LASERS, load)[0], DT)
     Deconvolution(model(LASERS, 6), noise=sigma, initial="unknown").estimate(shifted, DT)
     Deconvolution(model(LASERS, 6), noise=sigma, allow=["E213"]).estimate(shifted, DT)
