@@ -1,4 +1,7 @@
-"""The case studies of learned skins on few presses: what the linear map draws, the forces, and the gel it never saw."""
+"""The case studies of learned skins on few presses: what the linear map draws, the forces, and the gel it never saw.
+
+Functions, not classes: one process draws the presses for all.
+"""
 
 from __future__ import annotations
 
@@ -37,37 +40,31 @@ def rows(sets: Sets, linear: LearnedSensor) -> dict[tuple[str, str], Row]:
     return {(one.way, one.presses): one for one in found}
 
 
-class TestSkin:
-    """Markers in the plane."""
-
-    @pytest.mark.parametrize("presses", ["in the set", *learned_skin.UNSEEN])
-    def test_force_and_band_of_few_presses(self, rows: dict[tuple[str, str], Row], presses: str) -> None:
-        own = rows["linear", presses]
-        assert own.normal < 0.2  # 5 to 7 % of 5000 presses
-        assert 0.9 <= own.covered <= 1
-        assert own.error < 1
-
-    def test_the_band_does_not_hold_on_another_gel(self, rows: dict[tuple[str, str], Row]) -> None:
-        same, other = rows["linear", "in the set"], rows["linear", "other gel"]
-        assert other.normal > 2 * same.normal
-        assert other.wrench < same.wrench
-
-    def test_table_and_picture(
-        self, rows: dict[tuple[str, str], Row], linear: LearnedSensor, sets: Sets, tmp_path: Path
-    ) -> None:
-        assert "other gel" in learned_skin.show(list(rows.values()))
-        learned_skin.picture([("linear", linear)], sets, tmp_path / "x.png")
-        assert (tmp_path / "x.png").stat().st_size > 20_000
+@pytest.mark.parametrize("presses", ["in the set", *learned_skin.UNSEEN])
+def test_force_and_band_of_few_presses(rows: dict[tuple[str, str], Row], presses: str) -> None:
+    own = rows["linear", presses]
+    assert own.normal < 0.2  # 5 to 7 % of 5000 presses
+    assert 0.9 <= own.covered <= 1
+    assert own.error < 1
 
 
-class TestResultant:
-    """The force alone, on bodies that no map has seen."""
+def test_the_band_does_not_hold_on_another_gel(rows: dict[tuple[str, str], Row]) -> None:
+    same, other = rows["linear", "in the set"], rows["linear", "other gel"]
+    assert other.normal > 2 * same.normal
+    assert other.wrench < same.wrench
 
-    def test_the_map_of_the_force_is_within_the_claim(self, flat: MultilayerPad, sets: Sets) -> None:
-        fitted = LearnedMap(flat.model, output="resultant").fit(sets.training)
-        rows = learned_resultant.answered("LMMSE, direct", flat, learned_resultant.of_resultants(fitted), sets)
-        span = learned_resultant.span(flat, sets)
-        off = np.mean([r.off(span) for r in rows if r.presses in learned_skin.UNSEEN], axis=0)
-        assert off[:2].max() < 0.03
-        assert off[2] < 0.1
-        assert "unseen bodies" in learned_resultant.show(rows, span)
+
+def test_table_and_picture(rows: dict[tuple[str, str], Row], linear: LearnedSensor, sets: Sets, tmp_path: Path) -> None:
+    assert "other gel" in learned_skin.show(list(rows.values()))
+    learned_skin.picture([("linear", linear)], sets, tmp_path / "x.png")
+    assert (tmp_path / "x.png").stat().st_size > 20_000
+
+
+def test_the_map_of_the_force_is_within_the_claim(flat: MultilayerPad, sets: Sets) -> None:
+    fitted = LearnedMap(flat.model, output="resultant").fit(sets.training)
+    rows = learned_resultant.answered("LMMSE, direct", flat, learned_resultant.of_resultants(fitted), sets)
+    span = learned_resultant.span(flat, sets)
+    off = np.mean([r.off(span) for r in rows if r.presses in learned_skin.UNSEEN], axis=0)
+    assert off[:2].max() < 0.03
+    assert off[2] < 0.1
+    assert "unseen bodies" in learned_resultant.show(rows, span)
