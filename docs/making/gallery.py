@@ -172,7 +172,7 @@ def _run(study: Study) -> str:
                               check=True, capture_output=True, text=True)  # fmt: skip
         if (drawn := Path(folder) / f"{study.name}.png").exists():
             study.picture.write_bytes(small(drawn.read_bytes()))
-    return "\n".join(line for line in done.stdout.splitlines() if not line.startswith("picture")).strip()
+    return "\n".join(line.rstrip() for line in done.stdout.splitlines() if not line.startswith("picture")).strip()
 
 
 def small(png: bytes, wide: int = WIDE) -> bytes:
