@@ -57,7 +57,7 @@ class EnergyTest:
     @property
     def level(self) -> float:
         """Noise level: as it is known with some allowance, or as data that are noise alone show it."""
-        return ROUGH * self.sigma if self.sigma is not None else float(np.sqrt(self.whole / self.m))
+        return _level(self.whole, self.m, self.sigma)
 
     @property
     def chance(self) -> float:
@@ -136,7 +136,7 @@ class SupportTest:
     @property
     def level(self) -> float:
         """Noise level, as that of `EnergyTest`."""
-        return ROUGH * self.sigma if self.sigma is not None else float(np.sqrt(self.whole / self.m))
+        return _level(self.whole, self.m, self.sigma)
 
     @property
     def chance(self) -> float:
@@ -159,6 +159,11 @@ class SupportTest:
         from scipy.special import ndtri
 
         return float(-ndtri(CHANCE / (2 * len(self.energies) * self.atoms)) + SURE) * self.level
+
+
+def _level(whole: float, m: int, sigma: float | None) -> float:
+    """Std of one of `m` data with the sum of squares `whole`: with some allowance, where it is known."""
+    return ROUGH * sigma if sigma is not None else float(np.sqrt(whole / m))
 
 
 def noise_alone(path: RegularizationPath, lam: float, sigma: float | None) -> EnergyTest | None:
