@@ -21,8 +21,8 @@ from scipy.special import ndtr
 from structures._threads import one_thread
 
 from .._arrays import Array, Index, Mask
-from .discs import keep
-from .evidence import DiscModel, Fitted, shares
+from .discs import keep, shares
+from .evidence import DiscModel, Fitted
 from .gaussian import around
 from .inversion import Answer, Pressed, RegionSolver
 from .search import ContactSearch, score
@@ -111,24 +111,29 @@ class ContactFit(ContactSearch):
         Discs by their evidence; of each, places about its sizes and ratios by theirs (a spherical rule of third degree
         of the normal law at the maximum, I. Arasaratnam & S. Haykin, IEEE Trans. Autom. Control 54 (2009) 1254).
         """
-        log: list[float] = []
-        out: list[tuple[Array, Array, Array]] = []
+        asked = []
         for f in found:
-            laid = self._laid(self.model(f.discs))
-            for at, weight in self._about(z, f):
-                mean, variance, spread, pull = self._posterior(z, replace(f, at=at), laid)
-                log.append(score(f) + INNER * len(f.discs) + weight + pull)
-                out.append((mean, variance, spread))
-        weights = np.exp(np.array(log) - max(log))
+            model = self.model(f.discs, z)
+            laid = self._laid(model)
+            asked += [(score(f) + INNER * len(f.discs) + weight, replace(f, at=at), model, laid)
+                      for at, weight in self._about(z, f, model)]  # fmt: skip
+        asked.sort(key=lambda one: -one[0])
+        most, out = -np.inf, []
+        for weight, f, model, laid in asked:
+            if weight < most + np.log(NEGLIGIBLE):
+                break
+            mean, variance, spread, pull = self._posterior(z, f, model, laid)
+            most = max(most, weight + pull)
+            out.append((weight + pull, mean, variance, spread))
+        weights = np.exp(np.array([one[0] for one in out]) - most)
         weights = weights / weights.sum()
-        return [(float(w), a, b, c) for w, (a, b, c) in zip(weights, out, strict=True) if w > NEGLIGIBLE]
+        return [(float(w), *one[1:]) for w, one in zip(weights, out, strict=True) if w > NEGLIGIBLE]
 
-    def _about(self, z: Array, f: Fitted) -> list[tuple[Array, float]]:
+    def _about(self, z: Array, f: Fitted, model: DiscModel) -> list[tuple[Array, float]]:
         """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
-        model, at, square = self.model(f.discs), f.at.ravel(), float(z @ z)
+        at, square = f.at.ravel(), float(z @ z)
         told, count = model.told(z), f.at.size
-        here = model.evidence(square, told, at, order=2)
-        w, V = np.linalg.eigh(-here.curved)
+        w, V = np.linalg.eigh(-model.curved(model.evidence(square, told, at), exactly=True)[1])
         w = np.maximum(w, 1.0 / OPEN**2)
         room = -float(np.sum(np.log(w))) / 2 - np.log(2 * count)
         out = []
@@ -209,16 +214,16 @@ class ContactFit(ContactSearch):
         return (3 * nodes[:, None] + np.arange(3)).ravel(), np.hstack(back)
 
     def _posterior(
-        self, z: Array, f: Fitted, laid: tuple[Index, Array] | None = None
+        self, z: Array, f: Fitted, model: DiscModel, laid: tuple[Index, Array]
     ) -> tuple[Array, Array, Array, float]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
-        model, n = self.model(f.discs), self.problem.H.shape[1]
-        own, back = laid or self._laid(model)
-        mean, spread = model.posterior(z, f.at, np.empty((len(z), 0)))
-        if self.tolerances:  # of the load that is found without them
+        n, (own, back) = self.problem.H.shape[1], laid
+
+        def changes(mean: Array) -> Array:
             found = back @ mean
-            changes = np.column_stack([found @ change[own] for change in self.tolerances])
-            mean, spread = model.posterior(z, f.at, changes)
+            return np.column_stack([found @ change[own] for change in self.tolerances])
+
+        mean, spread = model.posterior(z, f.at, changes if self.tolerances else None)
         felt = self.problem.resultant[:, own] @ back
         load, variance = np.zeros(n), np.zeros(n)
         load[own] = back @ mean
