@@ -18,9 +18,9 @@ from .evidence import SIZES, DiscModel, Fitted
 COARSE = 3  # steps between discs of the first look
 LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
 MOST = 3  # contacts
-UNSEEN = 1e-2  # of the variance of noise, which a direction has at most that is left out
+UNSEEN = 1e-3  # of the variance of noise, which a direction has at most that is left out
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
-QUICK = 3  # steps to sizes and ratios where discs are compared
+QUICK = 2  # steps to sizes and ratios where discs are compared
 NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
 SETTLED = 2  # starts that are followed
 HOPEFUL, BEHIND = 2.0, 40.0  # of log evidence: what one more contact must bring where it starts, a split may cost there
