@@ -26,7 +26,7 @@ ROUNDING = 1e-13  # of the largest variance, that any direction has at least
 STEP = 1 / 6  # thicknesses between the middles of discs
 SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
 FAINT, ALIKE = 1e-9, 1e-13  # of the largest square, below which a direction of one disc, of some, is none
-KEPT, PRODUCTS = 160, 1000  # discs, and their products
+KEPT, PRODUCTS, FACTORS = 160, 1000, 4  # discs, their products, and factors of one disc
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class DiscWindow:
     made: Array
     finer: Array
     _cuts: dict[int, DiscWindow] = field(default_factory=dict)
+    _factors: dict[tuple[float, ...], Array] = field(default_factory=dict)
 
     @cached_property
     def strength(self) -> Array:
@@ -62,7 +63,7 @@ class DiscWindow:
         """The same by its directions of such a strength alone."""
         r = int(np.sum(self.strength > faint))
         if r not in self._cuts:
-            self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={})
+            self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={}, _factors={})
         return self._cuts[r]
 
     @cached_property
@@ -79,9 +80,13 @@ class DiscWindow:
 
     def factor(self, size: float, u: float, v: float) -> Array:
         """Cholesky factor (r, r) of the covariance of the readings along the directions."""
-        own = self._mixed(size, [u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
-        own.flat[:: len(own) + 1] += ROUNDING * np.max(np.diag(own))
-        return cholesky(own)
+        found = self._factors.get((size, u, v))
+        if found is None:
+            own = self._mixed(size, [u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
+            own.flat[:: len(own) + 1] += ROUNDING * np.max(np.diag(own))
+            found = cholesky(own)
+            keep(self._factors, (size, u, v), found, FACTORS)
+        return found
 
     def slopes(self, size: float, u: float, v: float, f: Array) -> Array:
         """Derivatives (3, r, r) of that covariance by size and ratios, over its factor f on both sides."""

@@ -185,14 +185,16 @@ class DiscModel:
         """
         F, inner = self._factors(at)
         ends = np.cumsum([0, *self.modes])
-        prior, made = np.zeros((ends[-1],) * 2), np.zeros((len(inner), ends[-1]))
+        made, covariance = np.zeros((len(inner), ends[-1])), np.zeros((ends[-1],) * 2)
         for j, (one, w, f) in enumerate(zip(at.reshape(-1, 3), self.windows, F, strict=False)):
-            own, T = slice(*ends[j : j + 2]), shares(*one)
-            prior[own, own] = np.kron(T, np.eye(w.modes.shape[1]))
+            own, T, each = slice(*ends[j : j + 2]), shares(*one), np.arange(w.modes.shape[1])
+            prior = np.zeros((3, len(each), 3, len(each)))
+            prior[:, each, :, each] = T
+            covariance[own, own] = prior.reshape(3 * len(each), -1)
             made[self.slices[j], own] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T)
         reach = solved(inner, made).T
         mean = reach @ self._along(F, self.told(z))
-        covariance = prior - made.T @ made + reach @ made
+        covariance += reach @ made - made.T @ made
         if changes is None:
             return mean, covariance
         felt = reach @ self._along(F, self.told(changes(mean)))
