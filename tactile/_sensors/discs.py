@@ -26,7 +26,7 @@ ROUNDING = 1e-13  # of the largest variance, that any direction has at least
 STEP = 1 / 6  # thicknesses between the middles of discs
 SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
 FAINT, ALIKE = 1e-9, 1e-13  # of the largest square, below which a direction of one disc, of some, is none
-KEPT, PRODUCTS, FACTORS = 160, 1000, 4  # discs, their products, and factors of one disc
+KEPT, PRODUCTS = 160, 1000  # discs, and their products
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class DiscWindow:
     made: Array
     finer: Array
     _cuts: dict[int, DiscWindow] = field(default_factory=dict)
-    _factors: dict[tuple[float, ...], Array] = field(default_factory=dict)
+    _last: list[tuple[Array, Array]] = field(default_factory=list)
 
     @cached_property
     def strength(self) -> Array:
@@ -63,7 +63,7 @@ class DiscWindow:
         """The same by its directions of such a strength alone."""
         r = int(np.sum(self.strength > faint))
         if r not in self._cuts:
-            self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={}, _factors={})
+            self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={}, _last=[])
         return self._cuts[r]
 
     @cached_property
@@ -78,24 +78,27 @@ class DiscWindow:
         out[3:] += out[3:].transpose(0, 2, 1)
         return out
 
-    def factor(self, size: float, u: float, v: float) -> Array:
-        """Cholesky factor (r, r) of the covariance of the readings along the directions."""
-        found = self._factors.get((size, u, v))
-        if found is None:
-            own = self._mixed(size, [u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
-            own.flat[:: len(own) + 1] += ROUNDING * np.max(np.diag(own))
-            found = cholesky(own)
-            keep(self._factors, (size, u, v), found, FACTORS)
+    def factor(self, at: Array) -> Array:
+        """Cholesky factor (r, r) of the covariance of the readings along the directions, at size and ratios (3,)."""
+        for before, found in self._last:  # of the disc that stays where others are tried
+            if np.array_equal(before, at):
+                return found
+        size, u, v = at.tolist()
+        own = self._mixed(size, [u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
+        own.flat[:: len(own) + 1] += ROUNDING * np.max(np.diag(own))
+        found = cholesky(own)
+        self._last[:] = [(at.copy(), found)]
         return found
 
-    def slopes(self, size: float, u: float, v: float, f: Array) -> Array:
+    def slopes(self, at: Array, f: Array) -> Array:
         """Derivatives (3, r, r) of that covariance by size and ratios, over its factor f on both sides."""
+        size, u, v = at.tolist()
         by = self._mixed(size, [2 * u, 0.0, 0.0, v, 1.0, 0.0]), self._mixed(size, [0.0, 2 * v, 0.0, u, 0.0, 1.0])
         return np.array([2 * np.eye(len(f)), *_over(f, *by)])
 
-    def second(self, size: float, u: float, v: float, f: Array, M: Array) -> Array:
+    def second(self, at: Array, f: Array, M: Array) -> Array:
         """Second derivatives (3, 3, r, r) of the same, by the first, M (3, r, r)."""
-        uu, vv, uv = _over(f, *(np.exp(2 * size) * self.products[[0, 1, 3]]))
+        uu, vv, uv = _over(f, *(np.exp(2 * at[0]) * self.products[[0, 1, 3]]))
         return np.array([2 * M, [2 * M[1], 2 * uu, uv], [2 * M[2], uv, 2 * vv]])
 
     def _mixed(self, size: float, parts: list[float]) -> Array:

@@ -100,7 +100,7 @@ class DiscModel:
     # -- evidence -----------------------------------------------------------------------------------------------------
     def _factors(self, at: Array) -> tuple[list[Array], Array]:
         """F_j of every disc at sizes and ratios (3 J,), and of the image; and the Cholesky factor of what they make."""
-        F = [w.factor(*one) for w, one in zip(self.windows, at.reshape(-1, 3), strict=True)] + [self.image]
+        F = [w.factor(one) for w, one in zip(self.windows, at.reshape(-1, 3), strict=True)] + [self.image]
         inner = np.eye(self.slices[-1].stop)
         for i, (f, rows) in enumerate(zip(F, self.slices, strict=True)):
             for j, other in enumerate(F[:i]):
@@ -134,18 +134,17 @@ class DiscModel:
         J, beta = len(self.discs), here.beta
         W = _explained(here.inner)
         places = list(zip(here.at.reshape(-1, 3), self.windows, here.F, self.slices, strict=False))
-        made = [w.slopes(*one, f) for one, w, f, _ in places]
-        slope, by = np.zeros((J, 3)), np.zeros((J, 3, len(beta)))
+        made = [w.slopes(one, f) for one, w, f, _ in places]
+        slope, by = np.zeros((J, 3)), np.zeros((3 * J, len(beta)))
         for j, (M, s) in enumerate(zip(made, self.slices, strict=False)):
-            by[j, :, s] = M @ beta[s]
-            slope[j] = 0.5 * (by[j, :, s] @ beta[s] - M.reshape(3, -1) @ W[s, s].ravel())
-        by = by.reshape(3 * J, -1)
+            by[3 * j : 3 * j + 3, s] = M @ beta[s]
+            slope[j] = 0.5 * (by[3 * j : 3 * j + 3, s] @ beta[s] - M.reshape(3, -1) @ W[s, s].ravel())
         told, own = by @ W @ by.T, np.diag(self._shears**2)
         if not exactly:
             return slope.ravel() - self._shears**2 * here.at, -0.5 * told - own
         more = np.zeros((J, 3, J, 3))
         for j, ((one, w, f, s), M) in enumerate(zip(places, made, strict=True)):
-            second = w.second(*one, f, M)
+            second = w.second(one, f, M)
             more[j, :, j] = 0.5 * (second @ beta[s] @ beta[s] - np.sum(second * W[s, s], axis=(2, 3)))
             for i, (other, t) in enumerate(zip(made, self.slices, strict=False)):
                 more[j, :, i] += 0.5 * np.einsum("aij,bji->ab", M @ W[s, t], other @ W[t, s], optimize=True)

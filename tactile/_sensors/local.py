@@ -146,7 +146,7 @@ class ContactFit(ContactSearch):
             weight = float(np.exp(weight - asked[0][0] + pull))
             most += weight
             out.append((weight, mean, variance, spread))
-        return [(weight / most, *one) for weight, *one in out]
+        return [(weight / most, a, b, c) for weight, a, b, c in out]
 
     def _about(self, z: Array, f: Fitted, model: DiscModel) -> list[tuple[Array, float]]:
         """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
