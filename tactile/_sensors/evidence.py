@@ -176,27 +176,25 @@ class DiscModel:
         return Fitted(self.discs, here.at.reshape(-1, 3), here.value)
 
     # -- loads --------------------------------------------------------------------------------------------------------
-    def posterior(self, z: Array, at: Array, changes: Callable[[Array], Array] | None = None) -> tuple[Array, Array]:
-        """Mean (J * 3 * q,) and covariance of the modes, by readings (m,).
+    def posterior(self, here: Local, changes: Callable[[Array], Array] | None = None) -> tuple[Array, Array]:
+        """Mean (J * 3 * q,) and covariance of the modes, where the evidence has been asked.
 
         `changes` are the readings (m, t) that errors of std one bring beside such modes. One frame does not tell the
         errors: what a load would make good of them is in the covariance, whole.
         """
-        F, inner = self._factors(at)
         ends = np.cumsum([0, *self.modes])
-        made, covariance = np.zeros((len(inner), ends[-1])), np.zeros((ends[-1],) * 2)
-        for j, (one, w, f) in enumerate(zip(at.reshape(-1, 3), self.windows, F, strict=False)):
+        made, covariance = np.zeros((len(here.inner), ends[-1])), np.zeros((ends[-1],) * 2)
+        for j, (one, w, f) in enumerate(zip(here.at.reshape(-1, 3), self.windows, here.F, strict=False)):
             own, T, each = slice(*ends[j : j + 2]), shares(*one), np.arange(w.modes.shape[1])
             prior = np.zeros((3, len(each), 3, len(each)))
             prior[:, each, :, each] = T
             covariance[own, own] = prior.reshape(3 * len(each), -1)
             made[self.slices[j], own] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T)
-        reach = solved(inner, made).T
-        mean = reach @ self._along(F, self.told(z))
-        covariance += reach @ made - made.T @ made
+        mean, reach = made.T @ here.beta, lower(here.inner, made)
+        covariance += reach.T @ reach - made.T @ made
         if changes is None:
             return mean, covariance
-        felt = reach @ self._along(F, self.told(changes(mean)))
+        felt = reach.T @ lower(here.inner, self._along(here.F, self.told(changes(mean))))
         return mean, covariance + felt @ felt.T
 
     @cached_property

@@ -22,7 +22,7 @@ from structures._threads import one_thread
 
 from .._arrays import Array, Index, Mask
 from .discs import keep, shares
-from .evidence import DiscModel, Fitted
+from .evidence import DiscModel, Fitted, Local
 from .gaussian import around
 from .inversion import Answer, Pressed, RegionSolver
 from .search import ContactSearch, score
@@ -133,23 +133,22 @@ class ContactFit(ContactSearch):
         asked = []
         for f in found:
             model = self.model(f.discs, z)
-            laid = self._laid(model)
-            asked += [(score(f) + INNER * len(f.discs) + weight, replace(f, at=at), model, laid)
-                      for at, weight in self._about(z, f, model)]  # fmt: skip
+            laid, worth = self._laid(model), score(f) + INNER * len(f.discs)
+            asked += [(worth + weight, here, model, laid) for here, weight in self._about(z, f, model)]
         asked.sort(key=lambda one: -one[0])
         behind = np.cumsum(np.exp([one[0] - asked[0][0] for one in asked[::-1]]))[::-1]  # at most, and all after it
         most, out = 0.0, []
-        for (weight, f, model, laid), rest in zip(asked, behind, strict=True):
+        for (weight, here, model, laid), rest in zip(asked, behind, strict=True):
             if rest < NEGLIGIBLE * most:
                 break
-            mean, variance, spread, pull = self._posterior(z, f, model, laid)
+            mean, variance, spread, pull = self._posterior(here, model, laid)
             weight = float(np.exp(weight - asked[0][0] + pull))
             most += weight
             out.append((weight, mean, variance, spread))
         return [(weight / most, a, b, c) for weight, a, b, c in out]
 
-    def _about(self, z: Array, f: Fitted, model: DiscModel) -> list[tuple[Array, float]]:
-        """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
+    def _about(self, z: Array, f: Fitted, model: DiscModel) -> list[tuple[Local, float]]:
+        """Sizes and ratios about the likeliest of discs, and the log of what they weigh beside its evidence."""
         at, square = f.at.ravel(), float(z @ z)
         told, count = model.told(z), f.at.size
         w, V = np.linalg.eigh(-model.curved(model.evidence(square, told, at), exactly=True)[1])
@@ -157,9 +156,9 @@ class ContactFit(ContactSearch):
         room = -float(np.sum(np.log(w))) / 2 - np.log(2 * count)
         out = []
         for step in np.sqrt(count) * (V / np.sqrt(w)).T:
-            for to in (at + step, at - step):
-                worth = model.evidence(square, told, to).value - f.evidence + count / 2
-                out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
+            for here in (model.evidence(square, told, at + step), model.evidence(square, told, at - step)):
+                worth = here.value - f.evidence + count / 2
+                out.append((here, room + float(np.clip(worth, -TRUSTED, TRUSTED))))
         return out
 
     @one_thread()
@@ -235,14 +234,14 @@ class ContactFit(ContactSearch):
         axis = np.concatenate([np.repeat(np.arange(3), modes.shape[1]) for modes in shapes])
         return Laid(nodes, shapes, felt, axis)
 
-    def _posterior(self, z: Array, f: Fitted, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
+    def _posterior(self, here: Local, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
 
         def changes(mean: Array) -> Array:
             found, columns = laid.loads(mean), 3 * laid.nodes[:, None] + np.arange(3)
             return np.column_stack([found.ravel() @ change[columns.ravel()] for change in self.tolerances])
 
-        mean, spread = model.posterior(z, f.at, changes if self.tolerances else None)
+        mean, spread = model.posterior(here, changes if self.tolerances else None)
         load, variance = np.zeros((2, len(self.places), 3))
         load[laid.nodes] = laid.loads(mean)
         all_shapes = np.hstack(laid.shapes)
@@ -250,7 +249,7 @@ class ContactFit(ContactSearch):
             own = np.flatnonzero(laid.axis == a)
             variance[laid.nodes, a] = np.einsum("ij,ij->i", all_shapes @ spread[np.ix_(own, own)], all_shapes)
         variance = np.maximum(variance, 0.0)
-        for w, at in zip(model.windows, f.at, strict=True):
+        for w, at in zip(model.windows, here.at.reshape(-1, 3), strict=True):
             variance[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
         pull = _pressing(laid.felt[2], mean, spread, model.modes)
         return load.ravel(), variance.ravel(), laid.felt @ spread @ laid.felt.T, pull

@@ -144,7 +144,7 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
     R = f.problem.resultant
     model = f.model((disc,))
-    mean, _, wrench, _ = f._posterior(z, Fitted((disc,), at, 0.0), model, f._laid(model))
+    mean, _, wrench, _ = f._posterior(model.evidence(z @ z, model.told(z), at), model, f._laid(model))
     assert np.allclose(mean, plain, rtol=1e-7, atol=1e-7 * np.abs(plain).max())
     dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T) + sum(np.outer(m, m) for m in made)) @ R.T
     assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
@@ -176,18 +176,18 @@ def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> N
     """A hundred markers at five times the noise: what size and ratios leave open is no small normal error."""
     f, (y, _) = fit(), pressed()
     z = y.ravel() / NOISE / 5 + 0.98 * np.random.default_rng(2).standard_normal(y.size)
-    model, disc = f.model((Disc(2, -1, 4),)), (Disc(2, -1, 4),)
+    model = f.model((Disc(2, -1, 4),))
     best = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
     square, told, R = float(z @ z), model.told(z), f.problem.resultant
     w, V = np.linalg.eigh(-model.curved(model.evidence(square, told, best.at), exactly=True)[1])
     line, logs, forces, spreads = np.linspace(-5, 5, 11), [], [], []
     for by in np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3):
         at = best.at.ravel() + V @ (by / np.sqrt(w))
-        value = model.evidence(square, told, at).value
-        if value < best.evidence - 12:
+        here = model.evidence(square, told, at)
+        if here.value < best.evidence - 12:
             continue
-        mean, _, wrench, pull = f._posterior(z, Fitted(disc, at.reshape(1, 3), value), model, f._laid(model))
-        logs.append(value + pull)
+        mean, _, wrench, pull = f._posterior(here, model, f._laid(model))
+        logs.append(here.value + pull)
         forces.append((R @ mean)[2])
         spreads.append(wrench[2, 2])
     p = np.exp(np.array(logs) - max(logs))
