@@ -204,9 +204,10 @@ class DiscModel:
         return [np.tensordot(shares(*one), X[0], 1) for one, X in zip(at.reshape(-1, 3), self.X, strict=True)]
 
     def posterior(self, z: Array, at: Array, changes: Array) -> tuple[Array, Array]:
-        """Mean (J * 3 * q,) and covariance of the modes, by readings (m,), with errors (m, t) of std one beside them.
+        """Mean (J * 3 * q,) and covariance of the modes, by readings (m,), and errors (r, t) of std one beside them.
 
-        One frame does not tell the errors: what a load would make good of them is in the covariance, whole.
+        Errors are given along the directions. One frame does not tell them: what a load would make good of them is in
+        the covariance, whole.
         """
         made = np.vstack([one.reshape(-1, len(self.rest)) for one in self._made(at)])
         factor, told = self._factor(at), self.told(z)
@@ -214,7 +215,7 @@ class DiscModel:
                              zip(at.reshape(-1, 3), self.X, strict=True)))  # fmt: skip
         alpha = self._solve(factor, told)
         covariance = prior - made @ self._solve(factor, made.T)
-        felt = made @ self._solve(factor, self.told(changes))
+        felt = made @ self._solve(factor, changes)
         return made @ alpha, covariance + felt @ felt.T
 
     @cached_property
