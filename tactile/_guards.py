@@ -466,6 +466,21 @@ def unlike_pad(rest: float, readings: int) -> Flag | None:
     )  # fmt: skip
 
 
+OPEN = 0.02  # chance of another number of contacts
+
+
+def contacts_open(chances: Mapping[int, float]) -> Flag | None:
+    """N617: the chances of numbers of contacts leave open how many there are."""
+    (count, most), *others = sorted(chances.items(), key=lambda item: -item[1])
+    left = 1.0 - most
+    words = " or ".join(str(n) for n, chance in others if chance > OPEN / 2)
+    return above(
+        "N617", "chance of another number of contacts", left if words else 0.0, OPEN,
+        f"most likely {count} contact{'' if count == 1 else 's'} ({most:.0%}), but the readings leave open {words}",
+        "measure normal motion, or press harder; two contacts that are read as one share its place and its band",
+    )  # fmt: skip
+
+
 # -- a gel in use -----------------------------------------------------------------------------------------------------
 SAME_SHAPE = 0.98  # correlation from which two maps have the same shape
 GAIN = (0.9, 1.1)

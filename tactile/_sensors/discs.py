@@ -146,11 +146,14 @@ class DiscWindows:
         """Middle of a disc (2,) in m."""
         return np.asarray(self.middle + STEP * self.thickness * np.array([disc.x, disc.y]))
 
+    def radius(self, disc: Disc) -> float:
+        """Radius of a disc in m."""
+        return SMALLEST * self.thickness * GROWING**disc.radius
+
     def inside(self, disc: Disc) -> Array:
         """Which share of the pressure may act at each node (P,): 1 in the disc, none a pitch from its rim."""
-        radius = SMALLEST * self.thickness * GROWING**disc.radius
         r = np.hypot(*(self.places[:, :2] - self.centre(disc)).T)
-        return np.clip((radius + self.pitch / 2 - r) / self.pitch, 0.0, 1.0)
+        return np.clip((self.radius(disc) + self.pitch / 2 - r) / self.pitch, 0.0, 1.0)
 
     def allowed(self, disc: Disc) -> bool:
         """Whether a disc lies on the surface."""

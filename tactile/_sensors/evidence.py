@@ -176,11 +176,11 @@ class DiscModel:
         return Fitted(self.discs, here.at.reshape(-1, 3), here.value)
 
     # -- loads --------------------------------------------------------------------------------------------------------
-    def posterior(self, here: Local, changes: Callable[[Array], Array] | None = None) -> tuple[Array, Array]:
+    def posterior(self, here: Local, changes: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Mean (J * 3 * q,) and covariance of the modes, where the evidence has been asked.
 
-        `changes` are the readings (m, t) that errors of std one bring beside such modes. One frame does not tell the
-        errors: what a load would make good of them is in the covariance, whole.
+        `changes` are what errors of std one bring beside such modes, along the directions (r, t). One frame does not
+        tell them: what a load would make good of them is in the covariance, whole.
         """
         ends = np.cumsum([0, *self.modes])
         made, covariance = np.zeros((len(here.inner), ends[-1])), np.zeros((ends[-1],) * 2)
@@ -192,9 +192,7 @@ class DiscModel:
             made[self.slices[j], own] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T)
         mean, reach = made.T @ here.beta, lower(here.inner, made)
         covariance += reach.T @ reach - made.T @ made
-        if changes is None:
-            return mean, covariance
-        felt = reach.T @ lower(here.inner, self._along(here.F, self.told(changes(mean))))
+        felt = reach.T @ lower(here.inner, self._along(here.F, changes(mean)))
         return mean, covariance + felt @ felt.T
 
     @cached_property

@@ -36,6 +36,7 @@ from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, me
 from .local import ContactFit, LocalLoad
 from .marked import ContactLaw
 from .observation import Markers, Wrench
+from .search import score
 
 MANY = 12  # markers from which one can be told to contradict the others
 STRAYS = 20  # of them that are left out, at most
@@ -137,6 +138,7 @@ class Consistency:
 WIDER = 1.2  # times the stated noise, from which it is taken for wrong
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
 CLEAR = 2.0  # stds of the unconstrained map
+DOUBT = 30.0  # log evidence that a mesh may cost a contact which is finer than it
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +234,8 @@ class QuickMap:
         answer, about = inverse(steady), None
         if self.contacts is not None and wrench is None and not quick:  # a wrench says more
             about = self._about(np.where(np.isfinite(steady), y, np.nan), wide)
+        if strays and about is not None:
+            about = self._doubted(y, steady, about)
         if about is not None and not self.normal:
             return self._by_contacts(steady, y, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
@@ -269,8 +273,25 @@ class QuickMap:
         """Loads about the contacts of readings (m,), NaN where lost; None where they are not what the readings say."""
         assert self.contacts is not None
         z = y / self.inverse.noise
+        wide = self.contacts.erring(z, wide)
         level = self._even(z / wide) if np.isfinite(z).all() else -np.inf
         return self.contacts(z, wide, level)
+
+    def _doubted(self, y: Array, kept: Array, about: LocalLoad) -> LocalLoad:
+        """Loads without strays; what they would be with them is in the band, where a small contact may have moved them.
+
+        A stray may be anywhere, so how likely its readings are is known. Under a contact that is finer than the mesh a
+        single marker moves much further than its neighbours.
+        """
+        assert self.contacts is not None
+        z = y / self.inverse.noise
+        left = np.isfinite(z) & ~np.isfinite(kept)
+        anywhere = -np.log(2 * np.nanmax(np.abs(z)) / about.wide / np.sqrt(2 * np.pi))
+        whole = self.contacts(z, about.wide, score(about.best) + np.sum(left) * float(anywhere) - DOUBT)
+        if whole is None:
+            return about
+        apart = self.inverse.resultant @ (whole.load - about.load)
+        return replace(about, wrench=about.wrench + np.outer(apart, apart))
 
     @cached_property
     def _even(self) -> EvenEvidence:
@@ -285,7 +306,7 @@ class QuickMap:
         found = None
         if self.contact.constrains:
             z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
-            found = self.contacts.pressed(z, about, max(1.0, checked[1]), self.contact.friction, self.normals)
+            found = self.contacts.pressed(z, about, self.contact.friction, self.normals)
         load = about.load if found is None else found.load
         flags = [guards.unseen(self.recovery, layer=True)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
@@ -306,7 +327,8 @@ class QuickMap:
         path, lost = "frozen inverse", int(np.sum(~np.isfinite(y)))
         path += "" if about is None else f", contacts: {len(about.best.discs)}"
         unlike = None if about is None else guards.unlike_pad(about.rest, len(y) - lost)
-        flags = [guards.strays(strays), guards.misfit(misfit), unlike, *flags]
+        parted = None if about is None else guards.contacts_open(about.regions)
+        flags = [guards.strays(strays), guards.misfit(misfit), unlike, parted, *flags]
         if found is not None:
             path = f"active sets on the contact region, {found.steps} steps"
             flags.append(guards.stopped(found.converged, found.steps))

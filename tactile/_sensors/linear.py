@@ -246,6 +246,19 @@ class LinearSensor(MarkedSensor):
         y, flags = self._of_frame(found, depth, None)
         return self._mapped(self._quick_map(self._deep(y)), y, None, flags, quick=True)
 
+    def prepare(self) -> None:
+        """Map a frame at rest, so that the first of a loop takes no longer than the others (`tactile.live` does).
+
+        Raises
+        ------
+        InputError
+            Where lambda is not fixed yet.
+        """
+        noise = [float(s.noise or 0.0) for s in self.model.sensors]
+        still = np.random.default_rng(0).standard_normal(len(noise)) * noise
+        with alone(len(self.kept)):
+            self._mapped(self._quick_map(True), still, None, [], quick=True)
+
     def calibrate(
         self,
         frames: Sequence[Any],

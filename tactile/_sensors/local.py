@@ -10,12 +10,14 @@ tell apart are averaged by their evidence. Contacts are added as long as the rea
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_triangular
+from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from structures._threads import one_thread
@@ -30,6 +32,8 @@ from .search import ContactSearch, score
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
 SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
+SPREAD = 0.5  # of what changes when a load is spread over the nodes beside it: std of what no mesh tells of its shape
+ERRING = 0.03  # of the largest reading: what errors of a model make of the others, in which no load is to be read
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 PARTS = 4  # sets of readings that are kept
 MANY = 8  # discs, of which loads that only press are averaged
@@ -48,7 +52,8 @@ class LocalLoad:
     """Load (n,), its std (n,), covariance of its resultant (6, 6), the fit that weighs most, and how well it fits.
 
     `rest` is the rms of the readings over what noise, contacts and the error of the mesh let expect; `likely` are the
-    fits of largest weight, and these.
+    fits of largest weight, and these. The noise was taken for `wide` times as large as stated. `regions` are numbers of
+    contacts that lie apart, and the chance of each.
     """
 
     load: Array
@@ -57,19 +62,23 @@ class LocalLoad:
     best: Fitted
     rest: float
     likely: tuple[tuple[float, Fitted], ...]
+    wide: float
+    regions: Mapping[int, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Laid:
     """Where modes lie: `nodes` (k,), `shapes` of every disc (k, q), and what each mode does to the resultant `felt`.
 
-    That is (6, modes); `axis` (modes,) is the direction of the load.
+    That is (6, modes); `axis` (modes,) is the direction of the load. Between its nodes a mesh knows no shape of a load:
+    `wider` (r, modes) is what spreading them over the nodes beside changes of the readings, along their directions.
     """
 
     nodes: Index
     shapes: list[Array]
     felt: Array
     axis: Index
+    wider: Array
 
     def loads(self, modes: Array) -> Array:
         """Loads (k, 3) of modes (modes,), those of each disc along x, y and z."""
@@ -100,7 +109,7 @@ class ContactFit(ContactSearch):
         """
         seen = np.isfinite(z)
         if not seen.all():
-            return self.on(seen)(z[seen], wide)
+            return self.on(seen)(z[seen], wide, level)
         z = z / wide
         found = self.contacts(z)
         if not found or max(map(score, found)) < level:
@@ -120,9 +129,28 @@ class ContactFit(ContactSearch):
         wrench = np.outer(longer, longer) * wrench + WHOLE**2 * np.outer(made, made)
         wrench[:3, :3] += (WHOLE * float(np.linalg.norm(made[:3]))) ** 2 * np.eye(3)
         best = max(found, key=score)
-        rest = wide * float(np.sqrt(self.model(best.discs).unlike(z, best.at) / len(z)))
+        by_noise = best.at + np.array([np.log(wide), 0.0, 0.0])  # of what is stated, not of what the model may err by
+        rest = float(np.sqrt(self.model(best.discs).unlike(wide * z, by_noise) / len(z)))
         spread = wide * np.sqrt(np.maximum(variance, 0.0))
-        return LocalLoad(wide * load, spread, wide**2 * wrench, best, rest, _likely(found))
+        return LocalLoad(wide * load, spread, wide**2 * wrench, best, rest, _likely(found), wide,
+                         self._regions(found))  # fmt: skip
+
+    @staticmethod
+    def erring(z: Array, wide: float) -> float:
+        """How many times as large as stated the noise of whitened readings (m,) is, for all that a model errs by."""
+        return float(np.hypot(wide, ERRING * np.nanmax(np.abs(z), initial=0.0)))
+
+    def _regions(self, found: list[Fitted]) -> dict[int, float]:
+        """Chances of numbers of contacts: discs that overlap, or leave less than a pitch between them, are one."""
+        weights = np.exp(np.array([score(f) for f in found]) - max(map(score, found)))
+        out: dict[int, float] = {}
+        for f, weight in zip(found, weights / weights.sum(), strict=True):
+            centres = np.array([self.centre(d) for d in f.discs])
+            radii = np.array([self.radius(d) for d in f.discs])
+            apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+            count = int(connected_components(apart < radii[:, None] + radii + self.pitch)[0])
+            out[count] = out.get(count, 0.0) + float(weight)
+        return out
 
     def _cases(self, z: Array, found: list[Fitted]) -> list[tuple[float, Array, Array, Array]]:
         """Weights (sum 1), and mean and variance of the load (n,), covariance of its resultant (6, 6), of what may be.
@@ -162,9 +190,7 @@ class ContactFit(ContactSearch):
         return out
 
     @one_thread()
-    def pressed(
-        self, z: Array, local: LocalLoad, wide: float, friction: float | None, normals: Array | None = None
-    ) -> Pressed:
+    def pressed(self, z: Array, local: LocalLoad, friction: float | None, normals: Array | None = None) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone.
 
         Those of several discs are averaged by their evidence: what presses, or lies in a cone, still does on average.
@@ -172,8 +198,8 @@ class ContactFit(ContactSearch):
         """
         seen = np.isfinite(z)
         if not seen.all():
-            return self.on(seen).pressed(z[seen], local, wide, friction, normals)
-        found = [self._pressed(z, f, wide, friction, normals) for _, f in local.likely]
+            return self.on(seen).pressed(z[seen], local, friction, normals)
+        found = [self._pressed(z, f, local.wide, friction, normals) for _, f in local.likely]
         load = sum((w * p.load for (w, _), p in zip(local.likely, found, strict=True)), np.zeros(len(local.load)))
         return Pressed(load, local.std, local.wrench, sum(p.steps for p in found), all(p.converged for p in found))
 
@@ -221,27 +247,38 @@ class ContactFit(ContactSearch):
     def _near(self) -> sparse.csr_array:
         return around(self.places, BESIDE * self.pitch)
 
+    @cached_property
+    def _beside(self) -> sparse.csc_array:
+        """Every load spread over its node and those beside it, its sum kept (P, P)."""
+        return sparse.csc_array(self._near / self._near.sum(axis=0))
+
     def _laid(self, model: DiscModel) -> Laid:
-        """Where the modes of discs lie."""
+        """Where the modes of discs lie, and what spreading them changes."""
         nodes = np.unique(np.concatenate([w.nodes for w in model.windows]))
         shapes = []
         for w in model.windows:
             modes = np.zeros((len(nodes), w.modes.shape[1]))
             modes[np.searchsorted(nodes, w.nodes)] = w.modes
             shapes.append(modes)
-        R = self.problem.resultant.reshape(6, -1, 3)[:, nodes]
-        felt = np.hstack([(R.transpose(0, 2, 1) @ modes).reshape(6, -1) for modes in shapes])
         axis = np.concatenate([np.repeat(np.arange(3), modes.shape[1]) for modes in shapes])
-        return Laid(nodes, shapes, felt, axis)
+        R = self.problem.resultant.reshape(6, -1, 3)[:, nodes].transpose(0, 2, 1)
+        felt = np.hstack([(R @ modes).reshape(6, -1) for modes in shapes])
+        wider = [self._beside[:, nodes] @ modes for modes in shapes]
+        for more, modes in zip(wider, shapes, strict=True):
+            more[nodes] -= modes
+        there = np.flatnonzero(np.any(np.hstack(wider), axis=1))
+        H = self.problem.whitened.reshape(len(self.problem.noise), -1, 3)[:, there].transpose(0, 2, 1)
+        moved = np.hstack([(H @ more[there]).reshape(len(H), -1) for more in wider])
+        return Laid(nodes, shapes, felt, axis, SPREAD * model.told(moved))
 
     def _posterior(self, here: Local, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
 
-        def changes(mean: Array) -> Array:
-            found, columns = laid.loads(mean), 3 * laid.nodes[:, None] + np.arange(3)
-            return np.column_stack([found.ravel() @ change[columns.ravel()] for change in self.tolerances])
+        def changes(mean: Array) -> Array:  # of the load that is found without them
+            found, columns = laid.loads(mean).ravel(), (3 * laid.nodes[:, None] + np.arange(3)).ravel()
+            return np.column_stack([laid.wider @ mean, *(model.told(found @ c[columns]) for c in self.tolerances)])
 
-        mean, spread = model.posterior(here, changes if self.tolerances else None)
+        mean, spread = model.posterior(here, changes)
         load, variance = np.zeros((2, len(self.places), 3))
         load[laid.nodes] = laid.loads(mean)
         all_shapes = np.hstack(laid.shapes)

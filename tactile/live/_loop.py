@@ -258,7 +258,7 @@ class Live:
     # -- stages -------------------------------------------------------------------------------------------------------
     def _run(self) -> None:
         if isinstance(self.sensor, LinearSensor) and self.sensor.frozen:
-            self.sensor.inverse  # noqa: B018  (built before frames wait for it)
+            self.sensor.prepare()  # before frames wait for it
         stages = (("capture", self._captured), ("track", self._tracking), ("map", self._mapping), ("keep", self._keep))
         for name, work in stages:
             thread = threading.Thread(target=self._guarded, args=(name, work), name=f"tactile {name}", daemon=True)

@@ -142,6 +142,8 @@ CASES = [
     Case("W614", lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.001]), 1e-4 * np.eye(3))),
          lambda: one(guards.unpressed(np.array([0.2, 0.0, -0.5]), 1e-4 * np.eye(3))), "a shear of 0.2 N and no press"),
     Case("W615", lambda: flattened(dome=True), lambda: flattened(dome=False), "times as much of the readings"),
+    Case("N617", lambda: one(guards.contacts_open({1: 0.57, 2: 0.43})),
+         lambda: one(guards.contacts_open({1: 0.995, 2: 0.005})), r"1 contact \(57%\).* 2"),
     Case("W705", lambda: one(guards.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(guards.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(guards.other_calibration(OLD, NEW)), lambda: one(guards.other_calibration(NEW, OLD)),

@@ -16,6 +16,7 @@ import pytest
 from structures.errors import InputError
 from tactile import Press
 from tactile._results.forcemap import Contact, ForceMap, Vector
+from tactile._sensors.linear import LinearSensor
 from tactile.live import Friction, Live, LiveEvent, LiveFrame
 from tactile.live._events import EventWatch
 from tactile.live._loop import Waiting
@@ -64,6 +65,24 @@ def test_maps_are_those_of_the_sensor() -> None:
     assert all(f.latency.total > 0 and f.latency.map > 0 for f in found)
     assert live.latency(1.0).map >= live.latency(0.5).map > 0
     assert live.ages(1.0) == pytest.approx(max(f.latency.total for f in found))
+
+
+def test_what_maps_need_is_built_before_the_first_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    ready = LinearSensor.prepare
+
+    def prepare(self: LinearSensor) -> None:
+        ready(self)
+        order.append("ready")
+
+    def source() -> Iterator[Array]:
+        for u in resting(2):
+            order.append("frame")
+            yield u
+
+    monkeypatch.setattr(LinearSensor, "prepare", prepare)
+    run(source(), quiet=None)
+    assert order == ["ready", "frame", "frame"]
 
 
 def test_dead_frames_are_counted_and_said_once() -> None:

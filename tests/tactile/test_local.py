@@ -15,7 +15,7 @@ from structures._threads import threads
 from tactile import Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import Fitted
-from tactile._sensors.local import ContactFit, _reach
+from tactile._sensors.local import SPREAD, ContactFit, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -42,6 +42,17 @@ def pressed() -> tuple[np.ndarray, np.ndarray]:
     patch = Patch("flat", (0.9e-3, -0.6e-3), (1.4e-3, 0.0), 0.0, (0.03, -0.02, -0.15))
     moved = surfaces([(patch,)], "fe", SIZE, THICK, NU)[0](markers())[:, :2] / E
     return moved + NOISE * np.random.default_rng(5).standard_normal(moved.shape), np.array(patch.force)
+
+
+def test_a_sensor_that_is_prepared_builds_nothing_in_its_first_frame() -> None:
+    s = sensor()
+    s._quick.clear()
+    s.prepare()
+    band = s.inverse.band
+    built = set(vars(band))
+    s.follow(NOISE * np.random.default_rng(3).standard_normal((len(markers()), 2)))
+    assert set(vars(band)) == built
+    assert {"_alike", "_rows", "_noisy"} <= built
 
 
 def test_the_evidence_is_that_of_a_dense_covariance() -> None:
@@ -141,6 +152,9 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     errors = [e.change / f.problem.noise[:, None] for e in f.problem.errors() if not e.of_mesh]
     assert len(errors) == 2
     plain = reach @ np.linalg.solve(S, z)
+    beside = (np.linalg.norm(f.places[:, None] - f.places, axis=2) <= 1.6 * f.pitch).astype(float)
+    wider = np.kron(beside / beside.sum(axis=0) - np.eye(len(beside)), np.eye(3))  # nor what lies between nodes
+    errors.append(SPREAD * f.problem.whitened @ wider)
     made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
     R = f.problem.resultant
     model = f.model((disc,))
@@ -158,6 +172,57 @@ def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
     assert np.all(np.abs(told.value - force) < 3 * told.std)
     assert 2 * 1.96 * told.std[2] < 0.6 * 0.15 < quick.resultant().std[2] * 2 * 1.96
     assert "LID-W608" in {f.code for f in found.flags}
+
+
+def test_readings_are_trusted_no_further_than_the_model() -> None:
+    """A press five times as strong, on another mesh: what the model errs by is not read as loads."""
+    f, (y, force) = fit(), pressed()
+    strong = 5 * (y - NOISE * np.random.default_rng(5).standard_normal(y.shape))
+    z = (strong + NOISE * np.random.default_rng(8).standard_normal(y.shape)).ravel() / NOISE
+    wide = f.erring(z, 1.0)
+    assert np.isclose(wide, np.hypot(1.0, 0.03 * np.abs(z).max()))
+    assert f.erring(np.r_[z, np.nan], 1.0) == wide > 2
+    patch = Patch("flat", (0.9e-3, -0.6e-3), (1.4e-3, 0.0), 0.0, tuple(force))
+    true = 5 * np.outer(patch.density(f.places[:, :2]), force)
+    plain, found = f(z), f(z, wide)
+    assert plain is not None
+    assert found is not None
+    errors = [np.linalg.norm(a.load - true.ravel()) / np.linalg.norm(true) for a in (plain, found)]
+    assert errors[1] < 0.85 * errors[0], errors
+    assert found.wide == wide
+
+
+def test_what_strays_would_change_is_in_the_band_where_they_may_be_a_small_contact(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    y, kept = pressed()[0].ravel(), pressed()[0].ravel()
+    kept[8:10] = np.nan
+    maps, local = sensor()._quick_map(True), fit()(y / NOISE)
+    assert local is not None
+    asked: list[float] = []
+
+    def likelier(z: np.ndarray, wide: float, level: float) -> Any:
+        asked.append(level)
+        return replace(local, load=1.1 * local.load)
+
+    made = 0.1 * (maps.inverse.resultant @ local.load)
+    monkeypatch.setattr(maps, "contacts", likelier)
+    assert np.allclose(maps._doubted(y, kept, local).wrench, local.wrench + np.outer(made, made))
+    spike = y.copy()
+    spike[8] = 10 * np.abs(y).max()
+    maps._doubted(spike, kept, local)
+    assert np.isclose(asked[0] - asked[1], 2 * np.log(10))  # a stray of so large a range is less likely to be there
+    monkeypatch.setattr(maps, "contacts", lambda *_: None)
+    assert maps._doubted(y, kept, local) is local
+
+
+def test_discs_that_overlap_are_one_contact() -> None:
+    f, at = fit(), np.zeros((2, 3))
+    known = [Fitted((Disc(0, 0, 2),), at[:1], 10.0), Fitted((Disc(-2, 0, 2), Disc(2, 0, 2)), at, 18.0),
+             Fitted((Disc(-6, 0, 1), Disc(6, 0, 1)), at, 17.0)]  # fmt: skip
+    found = f._regions(known)
+    weights = np.exp([2.0, 2.0, 1.0])
+    assert found == pytest.approx({1: weights[:2].sum() / weights.sum(), 2: weights[2] / weights.sum()})
 
 
 def test_a_frame_at_rest_has_no_contact() -> None:
@@ -220,9 +285,9 @@ def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
     assert len(local.likely) > 1
     assert np.isclose(sum(w for w, _ in local.likely), 1.0)
     assert local.likely[0][1].discs == local.best.discs
-    one, other = (f.pressed(z, replace(local, likely=((1.0, g),)), 1.0, 0.8) for _, g in local.likely[:2])
+    one, other = (f.pressed(z, replace(local, likely=((1.0, g),)), 0.8) for _, g in local.likely[:2])
     both = replace(local, likely=tuple((w, g) for w, (_, g) in zip((0.25, 0.75), local.likely, strict=False)))
-    found = f.pressed(z, both, 1.0, 0.8)
+    found = f.pressed(z, both, 0.8)
     assert np.allclose(found.load, 0.25 * one.load + 0.75 * other.load)
     assert found.steps == one.steps + other.steps
     x, y, down = found.load.reshape(-1, 3).T
