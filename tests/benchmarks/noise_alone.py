@@ -51,6 +51,11 @@ def on(seen: list[Any], *acting: Any) -> ForwardModel:
     return ForwardModel(BEAM, seen, list(acting) or [loads.Point(at=0.59, label="F")], modes=6)
 
 
+def under(seen: list[Any], points: int) -> ForwardModel:
+    """A line load."""
+    return ForwardModel(BEAM, seen, bases.hats(BEAM, [np.linspace(0, 1, points)]), modes=6)
+
+
 def histories(known: bool) -> Iterator[tuple[str, Case]]:
     acc, disp, mixed = on(ACC), on(DISP), on([ACC[0], DISP[1]])
 
@@ -77,7 +82,7 @@ def histories(known: bool) -> Iterator[tuple[str, Case]]:
         Record(rng.standard_normal((4096, 2)), DT, acc.sensors))  # fmt: skip
     candidates = on([*ACC, sensors.Accelerometer(at=0.2)], *(loads.Point(at=x) for x in (0.2, 0.35, 0.59, 0.7)))
     yield "LocationSearch", of(LocationSearch, candidates, 1.0)
-    yield "FieldDeconvolution", of(FieldDeconvolution, on(FEW, bases.hats(BEAM, [np.linspace(0, 1, 7)])), 1e-6, 120,
+    yield "FieldDeconvolution", of(FieldDeconvolution, under(FEW, 7), 1e-6, 120,
                                    space="gradient")  # fmt: skip
 
 
@@ -94,7 +99,7 @@ def tracked(known: bool) -> Iterator[tuple[str, Case]]:
 
 
 def readings(known: bool) -> Iterator[tuple[str, Case]]:
-    model = on(GAUGES, bases.hats(BEAM, [np.linspace(0, 1, 12)]))
+    model = under(GAUGES, 12)
     level = 1e-6 if known else None
     for penalty in ("identity", "gradient", "laplacian"):
         family = StaticInversion(model, penalty=penalty, noise=level)
