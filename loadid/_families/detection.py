@@ -13,12 +13,13 @@ from structures._channels import Channel
 from structures._flags import Flag
 
 from .. import _guards as guards
-from .._inverse.diagnosis.detection import CHANCE, EnergyTest, SupportTest, noise_alone
+from .._inverse.diagnosis.detection import CHANCE, FEWEST, LOWEST, TRIED, EnergyTest, SupportTest, noise_alone
 from .._inverse.path import FactoredPath, RegularizationPath
 from .._inverse.problem import whiten
 
 if TYPE_CHECKING:
     from .._inverse.gaussian.model import FilterModel
+    from .._inverse.svd import SVDPath
     from .posing import Posed
     from .posing.gathered import LineData
     from .posing.sparsity import SparseChoice
@@ -157,6 +158,38 @@ def of_track(model: FilterModel, Y: Array, known: bool, loads: Sequence[Channel]
     rms = np.sqrt(2 / length * np.sum(spread, axis=0)) / np.sqrt(_unlucky(each, many))
     return _not_told(test.chance, loads, "a load of {} rms that moves as its prior says",
                       tuple((test.sizes(each.sum(axis=0), lam) * rms).tolist()))  # fmt: skip
+
+
+def of_fields(paths: Sequence[SVDPath], sigma: float | None, seen: Array, unit: str) -> NotTold | None:
+    """Of frames of readings that smooth fields explain: a load all over, the same in every frame.
+
+    Parameters
+    ----------
+    paths : sequence of SVDPath
+        Of each shape of the functions, whitened, with one lambda for all frames.
+    sigma : float or None
+        Noise level of the whitened readings.
+    seen : array, shape (sensors,)
+        Whitened readings under a unit load all over.
+    unit : str
+    """
+    told: list[tuple[EnergyTest, float]] = []
+    for path in paths:
+        y, s = np.atleast_2d(path.problem.y.T), path.singular_values
+        U, frames, lam = path.U[:, : len(s)], len(y), np.geomspace(LOWEST, 1.0, TRIED)
+        if sigma is None and y.size < FEWEST:
+            return None
+        passed = s**2 / (s**2 + (lam[:, None] * float(path.scale)) ** 2)
+        test = EnergyTest(lam, passed @ np.sum((y @ U) ** 2, axis=0), frames * passed.sum(axis=1),
+                          frames * np.sum(passed**2, axis=1), y.size, float(np.sum(y**2)), sigma)  # fmt: skip
+        if len(paths) * test.chance < CHANCE:
+            return None
+        energy = frames * (passed @ (U.T @ seen) ** 2)
+        told.append((test, min(float(test.sizes(e[None], x)[0]) for e, x in zip(energy, lam, strict=True))))
+    chance = min(1.0, len(paths) * min(test.chance for test, _ in told))
+    size = min(size for _, size in told)
+    flag = guards.not_told(chance, f"{size:.3g} {unit} all over")
+    return NotTold(chance, flag, {"told_from": (size,)})
 
 
 def of_support(chosen: SparseChoice, loads: Sequence[Channel]) -> NotTold | None:

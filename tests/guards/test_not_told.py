@@ -22,6 +22,7 @@ from loadid import (
     NotIdentifiable,
     Penalty,
     Record,
+    ShapeSensing,
     SparseDeconvolution,
     Spectra,
     StaticInversion,
@@ -34,7 +35,7 @@ from loadid._inverse.problem import LinearProblem
 from loadid._inverse.svd import SVDPath
 from loadid._results.report import page
 from loadid.constraints import NonNegative
-from structures import Flag, ForwardModel, bases, beams, damping, loads, sensors
+from structures import Flag, ForwardModel, bases, beams, damping, loads, plates, sensors
 
 from .cases import Case
 
@@ -341,11 +342,42 @@ def test_a_track_of_noise_is_no_number_and_a_fit_to_it_not_calibrated() -> None:
     assert CODE not in codes(found.track(y[:20]))  # too few to be asked
 
 
+# -- plates by their shape ---------------------------------------------------------------------------------------------
+@cache
+def plate(known: bool) -> ShapeSensing:
+    """72 gauges with noise of 3e-7."""
+    own = plates.plate(lengths=(1, 1), thickness=5e-3, material=plates.Material(E=70e9, rho=2700, nu=0.33), elements=8)
+    p = np.linspace(0.05, 0.95, 6)
+    gauges = [sensors.StrainGauge(at=(x, y), fibre=2.5e-3, angle=a, label=f"{x:.2f} {y:.2f} {a:.1f}")
+              for y in p for x in p for a in (0.0, np.pi / 2)]  # fmt: skip
+    return ShapeSensing(own, gauges, noise=3e-7 if known else None)
+
+
+def bent(pressure: float, seed: int = 0, known: bool = True) -> LoadEstimate:
+    """Under a pressure all over (Pa), by the elements and not by the functions of the inversion."""
+    family = plate(known)
+    strains = family.model.static().sum(axis=1) * pressure
+    return family.estimate(strains + 3e-7 * np.random.default_rng([31, 5, seed]).standard_normal(len(strains)))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_pressure_of_a_plate_is_told_from_its_bound_on(known: bool) -> None:
+    quiet = bent(0.0, 1, known)
+    assert CODE in codes(quiet)
+    assert "Pa all over would have been" in quiet.summary().splitlines()[0]
+    (bound,) = quiet.facts.told_from
+    assert CODE not in codes(bent(bound, 2, known))
+    assert CODE in codes(bent(bound / 4, 3, known))
+    frames = plate(known).estimate(3e-7 * np.random.default_rng([31, 6]).standard_normal((20, 72)), 1e-3)
+    assert CODE in codes(frames)
+
+
 CASES = [
     Case("W318", lambda: answered(noise(4)).flags, lambda: answered(noise(4) + finer("acc", (150, 10, 20.0))[1]).flags,
          r"half sine of 2\.44 ms\) of \d", "record"),
     Case("W318", lambda: tracked(0.0).flags, lambda: tracked(20.0).flags, r"of \S+ N rms that moves as its prior",
          "tracked"),
+    Case("W318", lambda: bent(0.0).flags, lambda: bent(20.0).flags, r"\d Pa all over", "plate"),
     Case("W318", lambda: of_lines(0.0), lambda: of_lines(1.0), r"a load of \d\S* N on every line", "lines"),
     Case("W318", lambda: of_line(0.0), lambda: of_line(30.0), r"an amplitude of \d\S* N", "line"),
     Case("W318", lambda: of_readings(0.0), lambda: of_readings(10.0), r"a load of \d\S* N alone", "readings"),
