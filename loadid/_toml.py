@@ -40,11 +40,13 @@ class PlanReader:
                 near = difflib.get_close_matches(name, self.names[kind], n=SHOWN, cutoff=0.5)
                 listed = list(dict.fromkeys([*near, *self.names[kind]]))
                 more = "" if len(listed) <= LONGEST_LIST else f", ... ({len(listed)} in all)"
-                where = place if place == self.where else f"{self.where}, {place}"
                 hint = f"did you mean {near[0]!r}?" if near else "leave it out"
-                raise InputError("there is no such key", where=where, found=repr(name),
+                raise InputError("there is no such key", where=self._at(place), found=repr(name),
                                  expected=", ".join(listed[: SHOWN if more else None]) + more,
                                  hint=hint)  # fmt: skip
+
+    def _at(self, place: str) -> str:
+        return place if place == self.where else f"{self.where}, {place}"
 
     def refused(self, place: str, found: Any, expected: str) -> NoReturn:
         """A value that is none.
@@ -53,7 +55,7 @@ class PlanReader:
         ------
         InputError
         """
-        raise InputError("no such value", where=f"{self.where}, {place}", found=repr(found)[:80], expected=expected)
+        raise InputError("no such value", where=self._at(place), found=repr(found)[:80], expected=expected)
 
     def table(self, tree: Mapping[str, Any], name: str) -> dict[str, Any]:
         """A table of the plan, empty where it is left out."""
@@ -65,6 +67,9 @@ class PlanReader:
     def text(self, tree: Mapping[str, Any], name: str, place: str) -> str:
         """A text that must be there."""
         found = tree.get(name)
+        if found is None:
+            raise InputError(f"{name!r} is missing", where=self._at(place), expected="a text",
+                             hint=f'add {name} = "..."')  # fmt: skip
         if not isinstance(found, str) or not found.strip():
             self.refused(f"{name} of {place}", found, "a text")
         return found
@@ -78,9 +83,9 @@ class PlanReader:
         """
         path = folder / self.text(tree, name, place)
         if not path.is_file():
-            raise InputError(f"there is no such {name}", where=f"{self.where}, {place}", found=str(path),
+            raise InputError(f"there is no such {name}", where=self._at(place), found=str(path),
                              expected=f"a {name} file",
-                             hint="check the path, which counts from the plan")  # fmt: skip
+                             hint="check the path, which counts from the folder of this file")  # fmt: skip
         return path
 
     def assets(self, tree: Mapping[str, Any], needs: str) -> list[dict[str, Any]]:

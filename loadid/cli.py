@@ -25,7 +25,7 @@ DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
 LEVELS = ("debug", "info", "warning", "error")
 _OWN = (
     "demo", "info", "check", "model", "calibrate", "modes", "design", "identify", "compare", "vibration", "track",
-    "batch", "serve", "convert", "guide", "doctor", "lab",
+    "learn", "batch", "serve", "convert", "guide", "doctor", "lab",
     "completion",
 )  # fmt: skip
 

@@ -170,12 +170,15 @@ class Channel:
         Corner frequency of a first-order high-pass (AC coupling) in Hz.
     measure : float, optional
         Tributary length (m) or area (m^2) of a load.
+    interpolation : float, optional
+        Standard deviation of the error that an interpolation of the samples has made, the noise of the samples that
+        were left out for it among it, in `unit`.
 
     Raises
     ------
     InputError
-        If the label is empty or no text, the unit is unknown, not SI or none of the quantity, or noise, highpass or
-        measure is not a positive number.
+        If the label is empty or no text, the unit is unknown, not SI or none of the quantity, or noise, highpass,
+        measure or interpolation is not a positive number.
     """
 
     label: str
@@ -184,6 +187,7 @@ class Channel:
     noise: float | None = None
     highpass: float | None = None
     measure: float | None = None
+    interpolation: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.label, str) or not self.label:
@@ -194,7 +198,8 @@ class Channel:
                 expected="a text that is not empty",
                 hint='pass label="a1"',
             )
-        for name, unit in (("noise", "the unit of the channel"), ("highpass", "Hz"), ("measure", "m or m^2")):
+        for name, unit in (("noise", "the unit of the channel"), ("highpass", "Hz"), ("measure", "m or m^2"),
+                           ("interpolation", "the unit of the channel")):  # fmt: skip
             value = getattr(self, name)
             if value is not None:
                 hint = f"leave {name} out where it is not known"

@@ -40,6 +40,8 @@ def load(path: Path, wrong: str, hint: str) -> dict[str, Any]:
         found = _beyond(text)
         if not found:
             return tomllib.loads(text)
+    except UnicodeDecodeError:
+        found, hint = "bytes that are no text", "name the TOML file here: this is a file of another kind"
     except (ValueError, RecursionError, OverflowError) as error:  # a number of 200 000 digits is a bare ValueError
         found = str(error)[:200] or "too many levels"
     raise InputError(wrong, where=str(path), found=found, expected="TOML", hint=hint)

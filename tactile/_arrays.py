@@ -99,6 +99,7 @@ def squashed(E: float, nu: float, size: tuple[float, float], thickness: float) -
 
 
 PULLED, OVER = 0.1, 3.0  # of the thickness, and over the deepest place: how far out a surface may stand
+IMAGE = 30.0  # of the thickness: grey levels, or numbers in another unit
 SURE = 6.0  # stds of the noise beyond which no place of some thousands lies by chance
 
 
@@ -115,6 +116,11 @@ def settled_depth(lowest: float, highest: float, thickness: float, noise: float 
             expected=f"above {-thickness:g} m, the thickness",
             hint=THICKNESS.likely(lowest) + "; motion from the unloaded surface is meant, no distance",
         )  # fmt: skip
+    if highest > IMAGE * thickness:
+        raise InputError("these are no depths", where="depth", found=f"up to {highest:.4g} m outward",
+                         expected=f"motion of the surface of a pad that is {thickness:g} m thick",
+                         hint=Advice("name depth maps here, not images of the markers, and mind the unit of their "
+                                     "numbers: ", Spelling("m", '[depth] unit = "mm" in the pad file')))  # fmt: skip
     if highest > PULLED * thickness + SURE * noise and highest > -OVER * lowest:
         raise InputError(
             "the depth map pulls the surface out", where="depth", found=f"up to {highest:.4g} m outward",

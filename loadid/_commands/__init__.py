@@ -200,10 +200,13 @@ def stds(text: str) -> list[float]:
 
 def hit(text: str) -> tuple[float, float]:
     """``"0.001:100"`` as duration (s) and peak of a hit."""
-    duration, sign, peak = text.partition(":")
-    if not sign:
-        raise ArgumentTypeError(f"{text!r} is no hit S:PEAK, for example 0.001:100")
-    return positive(duration), positive(peak)
+    duration, _, peak = text.partition(":")
+    try:
+        return positive(duration), positive(peak)
+    except ArgumentTypeError:
+        raise ArgumentTypeError(
+            f"{text!r} is no hit S:PEAK: seconds and the unit of the load, for example 0.001:100"
+        ) from None
 
 
 def count(text: str) -> int:

@@ -264,8 +264,10 @@ def layout(model: Model) -> dict[str, Any]:
     """Sensors, loads, and rank, nullity and median condition number over the lines."""
     import numpy as np
 
+    from ..design._hitplacement import transfer
+
     facts: dict[str, Any] = {"m": len(model.sensors), "n": len(model.loads)}
-    H = _transfer(model)
+    H = transfer(model)
     if H is None:
         return facts
     s = np.linalg.svd(H, compute_uv=False)
@@ -308,24 +310,6 @@ def _blind(model: Model) -> str:
         corner = min(c.highpass for c in model.sensors if c.highpass)
         return f"no sensor sees a load that stands still: AC-coupled from {corner:.3g} Hz up"
     return ""
-
-
-def _transfer(model: Model) -> Any:
-    """Transfer matrices (lines, sensors, loads): measured, between the resonances, or static; else None."""
-    import numpy as np
-
-    if model.frequencies is not None:
-        return model.frf(model.frequencies)[model.frequencies > 0]
-    modes = model.natural_frequencies
-    try:
-        if modes is not None and np.any(modes > 0):
-            modes = modes[modes > 0][:40]
-            return model.frf(
-                np.sort(np.concatenate([0.7 * modes[:1], np.sqrt(modes[1:] * modes[:-1]), 1.2 * modes[-1:]]))
-            )
-        return model.static()[None]
-    except (InputError, NotIdentifiable):  # a model that gives neither: the layout stays unknown
-        return None
 
 
 def show(findings: Findings) -> str:

@@ -58,6 +58,7 @@ HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, set
     "tracker": ("tracker", {"prior": "matern32"}, "matern32"),
     "frequency lines": ("frequency", {"signal": "transient"}, ""),
 }
+NEEDY = ("smooth", "tracker")  # families that need a state space
 SLOW, LARGE = ("spikes", "B-splines", "tracker"), 2000  # families that a record with more unknowns leaves out
 STATICS: dict[str, tuple[str, dict[str, Any], str]] = {
     name: ("static", {"penalty": name}, "") for name in ("identity", "gradient", "laplacian", "second_difference")
@@ -136,6 +137,8 @@ class RecordComparison:
         Of those that answered.
     left_out : tuple of str
         What was not asked, as it takes long on so many unknowns.
+    not_for : tuple of str
+        Families that need a state space, where the model has none.
     """
 
     load: str
@@ -145,6 +148,7 @@ class RecordComparison:
     verdict: str
     estimates: dict[str, LoadEstimate]
     left_out: tuple[str, ...] = ()
+    not_for: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return "\n".join([*self._tables()])
@@ -154,6 +158,7 @@ class RecordComparison:
         said = [f"families, {self.load}{kept}", table([list(FAMILY_HEAD), *map(_family_cells, self.families)]), LEGEND]
         said += [self.warning] if self.warning else []
         said += [self.omitted] if self.left_out else []
+        said += [self.lacking] if self.not_for else []
         said += [f"refused: {r.name}: {r.refused}" for r in self.families if r.refused]
         if self.rules:
             said += [
@@ -161,6 +166,14 @@ class RecordComparison:
                 table([list(RULE_HEAD), *map(_rule_cells, self.rules)]),
             ]
         return said
+
+    @property
+    def lacking(self) -> str:
+        """Which families were not asked, as the model does not carry them, in words; "" where all were."""
+        if not self.not_for:
+            return ""
+        names = ", ".join(self.not_for)
+        return f"not asked, as they need a state space and this model has none: {names}; loadid modes makes one of FRFs"
 
     @property
     def usable(self) -> bool:
@@ -195,7 +208,7 @@ class RecordComparison:
         return {
             "load": self.load, "kept_out": list(self.kept_out), "verdict": self.verdict,
             "families": [asdict(row) for row in self.families], "rules": [asdict(row) for row in self.rules],
-            "left_out": list(self.left_out), "usable": self.usable,
+            "left_out": list(self.left_out), "not_for": list(self.not_for), "usable": self.usable,
         }  # fmt: skip
 
 
@@ -276,6 +289,8 @@ def compare(
             raise InputError("no such family for these data", where="families", found=repr(name)[:80],
                              expected=", ".join(every))  # fmt: skip
     chosen = {name: every[name] for name in families or every}
+    needy = [name for name in chosen if name in NEEDY] if not families and not known.gives("state_space") else []
+    chosen = {name: one for name, one in chosen.items() if name not in needy}
     long = kind == "history" and len(record.values) * len(known.loads) > LARGE and not everything
     slow = [name for name in chosen if name in SLOW] if long and not families else []
     chosen = {name: one for name, one in chosen.items() if name not in slow}
@@ -300,7 +315,7 @@ def compare(
     load = "no family answered" if first is None else f"largest load ({first.units[0]})"
     told(1.0, "done")
     out = (*slow, *(["criteria of the priors"] if long else []))
-    return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found, out)
+    return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found, out, tuple(needy))
 
 
 def _row(
@@ -461,7 +476,7 @@ def _page(found: RecordComparison, log: str) -> str:
     sections = [
         page.PageSection("Families", page.joined(
             page.table([_family_cells(row) for row in found.families], FAMILY_HEAD),
-            page.paragraphs(*filter(None, [found.warning, " ".join(LEGEND.split()), found.omitted])))),
+            page.paragraphs(*filter(None, [found.warning, " ".join(LEGEND.split()), found.omitted, found.lacking])))),
         page.PageSection("Loads", page.joined(*[page.drawn(chart) for chart in _charts(found)])),
         page.PageSection("Refused", page.paragraphs(*refused) if refused else ""),
         page.PageSection("Rules for lambda", page.joined(

@@ -85,8 +85,10 @@ def loads_of(estimate: LoadEstimate) -> Record:
     return Record(np.column_stack([x for _, x in columns]), float(t[1] - t[0]), named, name="loads")
 
 
-def convert(path: str | Path, output: str | Path, *, record: str | Sequence[str] | None = None, **reading: Any) -> str:
-    """Write what a file holds in the format that the suffix of another names; what was in it, in a word.
+def convert(
+    path: str | Path, output: str | Path, *, record: str | Sequence[str] | None = None, **reading: Any
+) -> tuple[str, tuple[str, ...]]:
+    """Write what a file holds in the format that the suffix of another names; what was in it, and how a log was read.
 
     Parameters
     ----------
@@ -108,14 +110,15 @@ def convert(path: str | Path, output: str | Path, *, record: str | Sequence[str]
         from .._results.estimate import LoadEstimate
 
         RECORDS[_known(target, tuple(RECORDS))](loads_of(LoadEstimate.read(path)), target)
-        return "result"
+        return "result", ()
     if kind is not None or _is_frfs(path):
         _model(path, target)
-        return "model"
+        return "model", ()
     from .._readers import read
 
-    RECORDS[_known(target, tuple(RECORDS))](read(path, record=record, **reading), target)
-    return "log"
+    write, log = RECORDS[_known(target, tuple(RECORDS))], read(path, record=record, **reading)
+    write(log, target)
+    return "log", log.notes
 
 
 def _is_frfs(path: str | Path) -> bool:
@@ -167,8 +170,9 @@ def _run(args: Namespace) -> int:
     require_outputs({"-o": args.output}, [args.file], suffixes={"-o": every})
     if not Path(args.output).suffix:
         raise UsageError(f"-o {args.output} names no format: end it with one of {', '.join(every)}")
-    kind = convert(args.file, args.output, record=one_record(args), **settings(args))
-    emit(args, {"kind": kind, "written": args.output}, f"{kind} {args.file} written to {args.output}")
+    kind, notes = convert(args.file, args.output, record=one_record(args), **settings(args))
+    said = [f"{kind} {args.file} written to {args.output}", *(f"  {note}" for note in notes)]
+    emit(args, {"kind": kind, "written": args.output, "notes": notes}, "\n".join(said))
     return 0
 
 

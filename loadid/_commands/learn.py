@@ -105,7 +105,7 @@ def fitted(path: str | Path, progress: Any = None) -> FittedMap:
 # -- the command -------------------------------------------------------------------------------------------------------
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
-    parser.add_argument("action", choices=ACTIONS, help="what to do")
+    parser.add_argument("action", choices=ACTIONS, metavar=f"{{{','.join(ACTIONS)}}}", help="what to do")
     parser.add_argument("source", metavar="JOB.toml|MAP.h5", nargs="?", help="job (generate, fit), or map (check, run)")
     parser.add_argument("input", metavar="SET|LOG", nargs="?", help="folder of a held-out set (check), or log (run)")
     parser.add_argument("-o", "--output", metavar="MAP.h5|RESULT.h5", help="file to write (fit, run)")
@@ -130,8 +130,11 @@ NEEDS: dict[str, tuple[str, ...]] = {
 
 def _run(args: Namespace) -> int:
     needs = NEEDS[args.action]
-    words = {"source": "MAP.h5" if args.action in ("check", "run") else "JOB.toml",
-             "input": "SET" if args.action == "check" else "LOG", "output": "-o"}  # fmt: skip
+    words = {
+        "source": "MAP.h5" if args.action in ("check", "run") else "JOB.toml",
+        "input": "SET" if args.action == "check" else "LOG",
+        "output": "-o MAP.h5" if args.action == "fit" else "-o RESULT.h5",
+    }
     lacking = [words[name] for name in needs if getattr(args, name) is None]
     if lacking:
         raise UsageError(f"learn {args.action} needs {' and '.join(lacking)} (see loadid learn --help)")
@@ -185,9 +188,9 @@ def _check(args: Namespace) -> int:
     from .._families.learned import load_map
     from ..generate import TrainingSet
 
-    training = TrainingSet.open(args.input)
+    learned, training = load_map(args.source), TrainingSet.open(args.input)
     with Bar() as bar:
-        found = load_map(args.source).check(training, draws=args.draws, progress=bar)
+        found = learned.check(training, draws=args.draws, progress=bar)
     emit(args, found.to_dict(), str(found))
     return 0
 

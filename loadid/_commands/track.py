@@ -209,6 +209,8 @@ examples:
   the same from a socket, with the load in the terminal and a picture at the end:
     loadid track --model mast.h5 --fit commissioning.csv --state state.h5 \\
         --in tcp://127.0.0.1:5000 --out loads.csv --plot loads.png
+  over a log that is finished, from end to end:
+    loadid track --model tracker.h5 --in today.csv --out loads.csv --idle 0
   in a pipe:
     acquire | loadid track --model tracker.h5 --in - --out - | alarm
 
@@ -334,7 +336,10 @@ def _configure(parser: ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--every", type=count, default=20_000, metavar="N", help="samples between checkpoints (20000)")
     parser.add_argument(
-        "--idle", type=seconds, metavar="S", help="end where a file has not grown for so long (default: never)"
+        "--idle",
+        type=seconds,
+        metavar="S",
+        help="end where a file has not grown for so long; 0 for a log that is finished (default: wait for ever)",
     )
     add_fit_options(parser)
 
@@ -444,10 +449,10 @@ def _tracked(args: Namespace, state: StateLock | None, stated: dict[str, str]) -
         past.add(times, load, std)
 
     out = sys.stdout.buffer if args.out == "-" else args.out
-    with until_told() as stop:
+    with until_told() as stop, Bar() as bar:
         done = follow(
-            tracker, args.source, out, state=state, stream=stream, every=args.every, idle=args.idle,
-            stop=stop, watch=None if args.plot is None else watch, units=stated,
+            tracker, args.source, out, state=state, stream=stream, every=args.every, idle=args.idle, stop=stop,
+            watch=None if args.plot is None else watch, units=stated, progress=bar if args.plot is None else None,
         )  # fmt: skip
     if args.plot is not None:
         screen.draw()

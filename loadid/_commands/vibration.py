@@ -62,7 +62,7 @@ def read_job(path: str | os.PathLike[str]) -> tuple[dict[str, Any], PlanReader]:
     InputError
         No such file, no TOML, a key that is none.
     """
-    job = _toml.read(path)
+    job = _toml.read(path, "job")
     plan = PlanReader(os.fspath(path), NAMES)
     plan.known(job, "job", plan.where)
     folder = Path(path).parent
@@ -103,6 +103,11 @@ def drives_of(job: Mapping[str, Any], plan: PlanReader, progress: Any = None) ->
 
     model: Model = load_model(job["model"])
     lines = _lines(job, plan)
+    if lines is None and "target" in job and model.frequencies is None:
+        raise InputError("the model has an FRF at any frequency, and the job names no lines", where=plan.where,
+                         expected="the lines of the drives",
+                         hint="add lines = {from = 20, to = 400, step = 2}, in Hz: one every quarter of the narrowest "
+                         "resonance, say")  # fmt: skip
     if "field" in job:
         target: Any = _field(job, plan, model, lines)
     else:

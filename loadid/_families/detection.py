@@ -13,11 +13,13 @@ from structures._channels import Channel
 from structures._flags import Flag
 
 from .. import _guards as guards
-from .._inverse.diagnosis.detection import CHANCE, EnergyTest, SupportTest, noise_alone
+from .._inverse.diagnosis.detection import CHANCE, FEWEST, LOWEST, TRIED, EnergyTest, SupportTest, noise_alone
 from .._inverse.path import FactoredPath, RegularizationPath
 from .._inverse.problem import whiten
 
 if TYPE_CHECKING:
+    from .._inverse.gaussian.model import FilterModel
+    from .._inverse.svd import SVDPath
     from .posing import Posed
     from .posing.gathered import LineData
     from .posing.sparsity import SparseChoice
@@ -26,6 +28,11 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 PULSE = 10  # samples of a hit
+FINEST, WORK = 2048, 2e8  # lines of a track, and the operations that they may cost
+COARSEST = 16  # lines below which a track is not asked
+ROUNDED = 1e-12  # of the power of a channel, left by the difference of two that are nearly equal
+SEEN = 0.95  # of all cases
+THERE = 0.5  # share of the samples of a channel that must be there
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class NotTold:
     facts : dict
         ``told_from``: size of each load from which it would have been told in 95 % of all cases, in its unit: peak of a
         hit in a record, of one load alone at one reading, or of one size on all lines. ``told_from_throughout``: rms of
-        a wide-band load in a record.
+        a wide-band load in a record. Of a track ``told_from`` is the rms of a load that moves as its prior says.
     """
 
     chance: float
@@ -109,19 +116,80 @@ def of_lines(H: Array, line: LineData, loads: Sequence[Channel], unit: str) -> N
     test = noise_alone(path, 1.0, 1.0 if line.known else None)
     if test is None:
         return None
-    parts = np.abs(U.conj().swapaxes(1, 2) @ whitened) ** 2
-
-    def explained(j: int) -> Callable[[float], float]:
-        def at(lam: float) -> float:
-            passed = s**2 / (s**2 + (lam * float(path.scale)) ** 2)
-            return float(many * np.sum(passed * parts[..., j]))
-
-        return at
-
-    sizes = _sizes(test, [explained(j) for j in range(len(loads))])
+    energies = _on_lines(path, many, s, np.abs(U.conj().swapaxes(1, 2) @ whitened) ** 2)
+    lam = test.told_by(lambda at: float(energies(at)[:, 0].sum()))
+    sizes = tuple(test.sizes(energies(lam).sum(axis=0), lam).tolist())
     if line.kind == "cross spectra":
         sizes = tuple(size**2 for size in sizes)
     return _not_told(test.chance, loads, "a load of {} on every line", sizes, unit=unit)
+
+
+def of_track(model: FilterModel, Y: Array, known: bool, loads: Sequence[Channel]) -> NotTold | None:
+    """Of samples (samples, sensors; NaN is missing) behind a filter: a load that moves as its prior says, throughout.
+
+    On each line of the spectra the operator is what the filter believes: the cross spectrum of sensors and load over
+    the root of the load's own, whitened by what else moves the sensors. Blocks of a record are averaged. A constant
+    part is not asked. ``known``: the level of the noise is stated.
+    """
+    there = np.isfinite(Y)
+    share = there.mean(axis=0)
+    lines = int(np.clip(WORK / model.n**3, 4 * COARSEST, FINEST))
+    blocks = -(-len(Y) // (2 * lines))
+    length = len(Y) // blocks
+    if length < 2 * COARSEST or np.min(share) < THERE:
+        return None
+    whole = (np.where(there, Y, 0.0) / np.sqrt(share))[: blocks * length].reshape(blocks, length, -1)
+    turns = 2 * np.pi * np.arange(1, (length - 1) // 2 + 1) / length
+    columns, root, spread = _by_prior(model, turns)
+    X = np.fft.rfft(whole, axis=1)[:, 1 : len(turns) + 1].transpose(1, 2, 0) / np.sqrt(length)
+    seen, X = np.linalg.solve(root, columns), np.linalg.solve(root, X)
+    U, s, _ = np.linalg.svd(seen, full_matrices=False)
+    beta2 = np.sum(np.abs(U.conj().swapaxes(1, 2) @ X) ** 2, axis=-1) / blocks
+    many = 2.0 * blocks
+    outside = max(float(np.sum(np.abs(X) ** 2)) / blocks - float(np.sum(beta2)), 0.0)
+    path = FactoredPath(s.ravel(), np.ones(s.size), np.sqrt(beta2).ravel(), many * outside,
+                        round(many * X.shape[0] * X.shape[1]), weight=np.full(s.size, many))  # fmt: skip
+    test = noise_alone(path, 1.0, 1.0 if known else None)
+    if test is None:
+        return None
+    energies = _on_lines(path, many, s, np.abs(U.conj().swapaxes(1, 2) @ seen) ** 2)
+    lam = test.told_by(lambda at: float(energies(at)[:, 0].sum()))
+    each = energies(lam)
+    rms = np.sqrt(2 / length * np.sum(spread, axis=0)) / np.sqrt(_unlucky(each, many))
+    return _not_told(test.chance, loads, "a load of {} rms that moves as its prior says",
+                      tuple((test.sizes(each.sum(axis=0), lam) * rms).tolist()))  # fmt: skip
+
+
+def of_fields(paths: Sequence[SVDPath], sigma: float | None, seen: Array, unit: str) -> NotTold | None:
+    """Of frames of readings that smooth fields explain: a load all over, the same in every frame.
+
+    Parameters
+    ----------
+    paths : sequence of SVDPath
+        Of each shape of the functions, whitened, with one lambda for all frames.
+    sigma : float or None
+        Noise level of the whitened readings.
+    seen : array, shape (sensors,)
+        Whitened readings under a unit load all over.
+    unit : str
+    """
+    told: list[tuple[EnergyTest, float]] = []
+    for path in paths:
+        y, s = np.atleast_2d(path.problem.y.T), path.singular_values
+        U, frames, lam = path.U[:, : len(s)], len(y), np.geomspace(LOWEST, 1.0, TRIED)
+        if sigma is None and y.size < FEWEST:
+            return None
+        passed = s**2 / (s**2 + (lam[:, None] * float(path.scale)) ** 2)
+        test = EnergyTest(lam, passed @ np.sum((y @ U) ** 2, axis=0), frames * passed.sum(axis=1),
+                          frames * np.sum(passed**2, axis=1), y.size, float(np.sum(y**2)), sigma)  # fmt: skip
+        if len(paths) * test.chance < CHANCE:
+            return None
+        energy = frames * (passed @ (U.T @ seen) ** 2)
+        told.append((test, min(float(test.sizes(e[None], x)[0]) for e, x in zip(energy, lam, strict=True))))
+    chance = min(1.0, len(paths) * min(test.chance for test, _ in told))
+    size = min(size for _, size in told)
+    flag = guards.not_told(chance, f"{size:.3g} {unit} all over")
+    return NotTold(chance, flag, {"told_from": (size,)})
 
 
 def of_support(chosen: SparseChoice, loads: Sequence[Channel]) -> NotTold | None:
@@ -162,6 +230,48 @@ def _sizes(test: EnergyTest, explained: Sequence[Callable[[float], float]]) -> t
     """Size of each load; all are asked at the lambda that tells the first."""
     lam = test.told_by(explained[0])
     return tuple(test.sizes(np.array([one(lam) for one in explained]), lam).tolist())
+
+
+def _on_lines(path: RegularizationPath, many: float, s: Array, parts: Array) -> Callable[[float], Array]:
+    """Energy (lines, loads) that one load alone explains, by lambda; s (lines, modes), parts (lines, modes, loads)."""
+
+    def at(lam: float) -> Array:
+        passed = s**2 / (s**2 + (lam * float(path.scale)) ** 2)
+        return np.asarray(many * np.sum(passed[..., None] * parts, axis=1))
+
+    return at
+
+
+def _unlucky(energy: Array, many: float) -> Array:
+    """Share of their mean energy (lines, loads) that 95 % of random loads have, each line a chi-square of `many`."""
+    from scipy.special import chdtri
+
+    mean = np.maximum(energy.sum(axis=0), np.finfo(float).tiny)
+    free = many * mean**2 / np.maximum(np.sum(energy**2, axis=0), np.finfo(float).tiny)
+    return np.asarray(chdtri(free, SEEN) / free)
+
+
+def _by_prior(model: FilterModel, turns: Array) -> tuple[Array, Array, Array]:
+    """Sensors per root of each load's own spectrum, the root of what else moves them, and the loads' own spectra.
+
+    (lines, sensors, loads), (lines, sensors, sensors) and (lines, loads) at `turns` radians a sample.
+    """
+    m, shift = model.m, np.exp(-1j * turns)[:, None, None]
+    both = np.vstack([model.H, model.Cp])
+    read = np.linalg.solve(np.eye(model.n) - model.F.T * shift, np.broadcast_to(both.T.astype(complex), (
+        len(turns), *both.T.shape))).swapaxes(1, 2) * shift  # fmt: skip
+    pushed = read @ model.LQ
+    power = pushed @ pushed.conj().swapaxes(1, 2)
+    if model.S is not None:
+        with_noise = read @ model.S
+        power[:, :, :m] += with_noise
+        power[:, :m, :] += with_noise.conj().swapaxes(1, 2)
+    spread = np.maximum(np.diagonal(power, axis1=1, axis2=2).real[:, m:], np.finfo(float).tiny)
+    columns = power[:, :m, m:] / np.sqrt(spread)[:, None, :]
+    noise = model.LR @ model.LR.T
+    rest = power[:, :m, :m] + noise - columns @ columns.conj().swapaxes(1, 2)
+    large = ROUNDED * np.diagonal(power, axis1=1, axis2=2).real[:, :m]
+    return columns, np.linalg.cholesky(rest + large[:, :, None] * np.eye(m)), spread
 
 
 def _rms(x: Array) -> float:

@@ -30,6 +30,7 @@ from ..priors import OU, Matern32, Matern52
 from ..settings import Guards, ModelErrors, Noise, Online, Priors
 from . import noise as noises
 from .data import Data, gather, health
+from .detection import of_track
 from .tracking.beginning import MovingStart, beginning
 from .tracking.certificate import TrackCertificate, banded, certify
 from .tracking.engine import Engine
@@ -195,6 +196,8 @@ class LoadTracker:
         lengths = [float(length) / data.dt if isinstance(g, Named) and (length := tuned.words.get(name)) else None
                    for name, g in ((f"length of load {j + 1}", g) for j, g in enumerate(self.given))]  # fmt: skip
         certificate, e, wider, most = self._certified(model, settled, data, lengths)
+        said = of_track(model, np.where(data.missing, np.nan, data.values), noise.known, self.model.loads)
+        certificate = replace(certificate, told=said is None)
         fitted = TrackerFit(
             model=model,
             settled=settled,

@@ -20,6 +20,8 @@ from ..settings import Noise
 from .data import Data, Readings
 
 COVARIANCE = NoiseSource("repeatability", "covariance")
+LEFT_OUT = 2.1  # variances of the noise in the error that a spline makes at samples that were left out, and chance
+SLIGHT = 0.01
 DECLARED = NoiseSource("datasheet", "data sheet (declared with the sensors)")
 
 
@@ -50,11 +52,26 @@ class NoiseLevel:
 def resolve(given: Noise, model: Model, data: Data) -> NoiseLevel:
     """Noise level by the first that tells: the user, the model, the record's channels, its quiet segment; else a scale.
 
+    A level that is known has the error of an interpolation beside it, where the samples were interpolated.
+
     Raises
     ------
     InputError
         A level that does not fit the channels.
     """
+    found = _of_samples(given, model, data)
+    errors = np.array([c.interpolation or 0.0 for c in data.channels])
+    if not found.known or not np.any(errors) or not isinstance(found.level, np.ndarray):
+        return found
+    own = found.level**2 if found.level.ndim == 1 else np.diag(found.level)
+    more = np.maximum(errors**2 - LEFT_OUT * own, 0.0)
+    if not np.any(more > SLIGHT * own):
+        return found
+    level = np.sqrt(own + more) if found.level.ndim == 1 else found.level + np.diag(more)
+    return NoiseLevel(level, True, NoiseSource(found.source.kind, f"{found.source.text}, and the interpolation"))
+
+
+def _of_samples(given: Noise, model: Model, data: Data) -> NoiseLevel:
     count = len(data.rows)
     if given.stated:
         return _stated(given, count)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from structures.shape_sensing import InverseFEM, SensedField
 from .._inverse.choice import checked
 from .._inverse.diagnosis import identifiability
 from .._inverse.posterior import DensePosterior
+from .._inverse.problem import whiten
 from .._inverse.shape import choosing, moving
 from .._inverse.shape.edged import EdgedLoads
 from .._inverse.shape.plate import ThinPlate, thin_plate
@@ -28,6 +29,7 @@ from ..settings import ChoiceLike, Guards, Lambda, Noise
 from . import noise as noises
 from .answer import SolvedLoad, answer, beyond_noise, over_time
 from .data import gather, readings
+from .detection import NotTold, of_fields
 from .noise import NoiseLevel
 from .smoothness import geometry
 
@@ -153,7 +155,7 @@ class ShapeSensing:
             return self._over_time(found, dt)
         given = readings(found, self.model, None)
         noise = noises.steady(self.noise, self.model, given)
-        posed, chosen = self._fitted(given.values, noise)
+        posed, chosen, said = self._fitted(given.values, noise)
         self._progress(0.8, "from the field to the load")
         spread = choosing.spread(chosen, [rows[0] for rows in posed.loads], noise.sigma)
         variance = np.sum(spread.root**2, axis=1) + spread.apart**2 + spread.hidden**2
@@ -173,7 +175,7 @@ class ShapeSensing:
             posterior=DensePosterior(spread.root, shape, frames=None if single else len(spread.mean)),
             excess=self._excess(chosen, noise),
         )
-        return self._answer(given, solved, chosen, noise)
+        return self._answer(given, solved, chosen, noise, said)
 
     def field(self, readings: Any) -> SensedField:
         """Deflection of the whole plate behind readings (gauges,) or (frames, gauges), by inverse finite elements."""
@@ -186,7 +188,7 @@ class ShapeSensing:
     def _over_time(self, record: Any, dt: float | None) -> LoadEstimate:
         data = gather(record, dt, self.model, None)
         noise = noises.resolve(self.noise, self.model, data)
-        posed, chosen = self._fitted(data.values, noise)
+        posed, chosen, said = self._fitted(data.values, noise)
         best = chosen.best
         self._progress(0.5, "smoothing over time")
         sigma = choosing.noise_of(best, noise.sigma)
@@ -218,7 +220,7 @@ class ShapeSensing:
             geometry=geometry(self.basis),
             excess=self._excess(chosen, noise),
         )
-        return self._answer(data, solved, chosen, noise)
+        return self._answer(data, solved, chosen, noise, said)
 
     @property
     def posed(self) -> _Posed:
@@ -266,13 +268,15 @@ class ShapeSensing:
         w, v, a = (np.mean([part[k] for part in parts], axis=0) for k in range(3))
         return w, v, a
 
-    def _fitted(self, values: Array, noise: NoiseLevel) -> tuple[_Posed, choosing.Chosen]:
+    def _fitted(self, values: Array, noise: NoiseLevel) -> tuple[_Posed, choosing.Chosen, NotTold | None]:
         self._progress(0.1, "posing the problem")
         posed = self.posed
         paths = choosing.paths(posed.gauges, values, noise.level)
         self._refuse_unheld(paths[-1], noise)
         self._progress(0.3, "choosing shape and ridge")
-        return posed, choosing.chosen(paths, self.choice, sigma=noise.sigma, source=noise.source)
+        seen = whiten(np.asarray(self.model.static(), float).sum(axis=1), noise.level, 0)
+        said = of_fields(paths, noise.sigma, seen, self.model.loads[0].unit)
+        return posed, choosing.chosen(paths, self.choice, sigma=noise.sigma, source=noise.source), said
 
     def _refuse_unheld(self, path: Any, noise: NoiseLevel) -> None:
         """Refuse readings that even the finest functions do not explain."""
@@ -331,8 +335,12 @@ class ShapeSensing:
             }
         )
 
-    def _answer(self, given: Any, solved: SolvedLoad, chosen: choosing.Chosen, noise: NoiseLevel) -> LoadEstimate:
+    def _answer(
+        self, given: Any, solved: SolvedLoad, chosen: choosing.Chosen, noise: NoiseLevel, said: NotTold | None
+    ) -> LoadEstimate:
         self._progress(1.0, "done")
+        if said is not None:
+            solved = replace(solved, facts=replace(solved.facts, **said.facts))
         path = chosen.best.path
         settings = {"family": self.name, "choice": "evidence" if self.choice is None else shown(self.choice)}
         return answer(
@@ -343,7 +351,7 @@ class ShapeSensing:
             known=noise.known,
             prior=PRIOR,
             settings=settings,
-            flags=(),
+            flags=() if said is None else (said.flag,),
             searched=path,
             solved=path,
             judged=False,

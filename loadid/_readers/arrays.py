@@ -291,7 +291,8 @@ class Walk:
                 continue
             self.seen.add(address)
             if len(self.seen) > OBJECTS:
-                self.source.refuse("too many objects", len(self.seen), f"at most {OBJECTS}")
+                self.source.refuse("too many groups and datasets", f"more than {OBJECTS}", f"at most {OBJECTS}",
+                                   "export the channels of one test into a file of their own")  # fmt: skip
             if isinstance(item, h5py.Group):
                 below.append((item, place))
             elif not isinstance(item, h5py.Dataset):

@@ -117,7 +117,8 @@ def onto_one_clock(
     table = Table(
         values, name=", ".join(dict.fromkeys(t.name for t in tables if t.name)), columns=tuple(columns),
         units=tuple(u for t in tables for u in t.units or [None] * t.values.shape[1]), dt=1 / rate,
-        flags=tuple(flags), notes=tuple(notes), start=None if start is None else start + begin - float(clocks[0][0]),
+        interpolation=tuple(np.concatenate([one.error for one in found]).tolist()), flags=tuple(flags),
+        notes=tuple(notes), start=None if start is None else start + begin - float(clocks[0][0]),
     )  # fmt: skip
     return table, 1 / rate
 

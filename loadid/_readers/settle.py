@@ -51,7 +51,11 @@ def settled(table: Table, source: Source, options: Options) -> dict[str, Any]:
     described, recorded, columns = [], [], []
     for i, text in texts.items():
         unit = (_units.stated if i in stated else _units.parse)(text, channel=names[i], where=str(source.path))
-        described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si))
+        error = (
+            np.nan if table.interpolation is None else float(np.ptp(_units.to_si(_ends(table.interpolation[i]), unit)))
+        )
+        described.append(Channel(label=names[i], quantity=unit.quantity, unit=unit.si,
+                                 interpolation=error if 0 < error < np.inf else None))  # fmt: skip
         recorded.append(unit.symbol)
         columns.append(_units.to_si(table.values[:, i], unit))
     return {
@@ -66,6 +70,11 @@ def settled(table: Table, source: Source, options: Options) -> dict[str, Any]:
         "file_dt": None if options.fs is None else table.dt,
         "start": table.start,
     }
+
+
+def _ends(size: float) -> NDArray[np.float64]:
+    """Two values as far apart as a difference of that size: a unit may have a zero of its own."""
+    return np.array([0.0, size])
 
 
 def _refuse_missing_units(missing: list[str], source: Source) -> None:

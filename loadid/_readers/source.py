@@ -152,6 +152,8 @@ class Table:
         Name of the column of the stamps.
     aware : bool
         Stamps of kind ``datetime64`` are in UTC (else in local time, of a zone that the file does not name).
+    interpolation : tuple of float or None
+        Rms error of each column that was interpolated, as recorded; NaN where it is not known.
     """
 
     values: NDArray[Any]
@@ -167,6 +169,7 @@ class Table:
     stamps: NDArray[Any] | None = None
     clock: str = "time"
     aware: bool = False
+    interpolation: tuple[float, ...] | None = None
 
 
 def time_first(table: Table, source: Source, options: Options) -> Table:

@@ -90,8 +90,8 @@ class Facts(Mapping[str, Any]):
         Prediction error of each sensor that was kept out.
     told_from, told_from_throughout : tuple of float
         Where no load is told from noise, of each load in its unit: the size from which it would have been in 95 % of
-        all cases (peak of a hit in a record, static load, amplitude, spectrum), and the rms of a wide-band load
-        throughout.
+        all cases (peak of a hit in a record, static load, amplitude, spectrum, rms of a tracked load), and the rms of a
+        wide-band load throughout.
     window_bound : float
         Bound on the error of solving in windows, over the std.
     frequency, length, time_constant : float

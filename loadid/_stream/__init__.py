@@ -8,10 +8,11 @@ later is made again at the next start, bit for bit; where its samples do not com
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,12 @@ __all__ = ["StreamSummary", "follow", "open_source"]
 EVERY = 20_000  # samples from one checkpoint to the next: a tenth of a second of reading a file
 SECONDS = 5.0  # and the longest time, where something has come
 LOOK = 0.1  # s that a source is waited for before the clock is looked at
+STANDS = 2.0  # s without data after which it is said that a file is waited for
+WAITS = (
+    "%s: %d samples are answered, and the run waits for the file to grow; Ctrl-C ends it and keeps every answer, "
+    "--idle S ends it by itself"
+)
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,7 @@ def follow(
     stop: threading.Event | None = None,
     watch: Watch | None = None,
     units: Mapping[str, str] | None = None,
+    progress: Callable[[float, str], None] | None = None,
 ) -> StreamSummary:
     """Track a stream until it ends.
 
@@ -97,6 +105,8 @@ def follow(
         Called with times, loads and stds of every piece.
     units : mapping of str to str, optional
         Units of columns, by the names of their sensors, where a header does not state them or states wrong ones.
+    progress : callable, optional
+        Called with the share of a file that is read, 0 to 1, and a text.
 
     Raises
     ------
@@ -108,7 +118,7 @@ def follow(
         if state is not None and not isinstance(state, StateLock):
             state = held.enter_context(StateLock(state))
         run = held.enter_context(closing(_Run(tracker, source, out, state, stream, units)))
-        return run.go(every, idle, stop or threading.Event(), watch)
+        return run.go(every, idle, stop or threading.Event(), watch, progress or (lambda share, text: None))
 
 
 class _Run:
@@ -134,9 +144,13 @@ class _Run:
         if state is not None:
             swept(Path(state))  # now that no other run is known to write it
 
-    def go(self, every: int, idle: float | None, stop: threading.Event, watch: Watch | None) -> StreamSummary:
+    def go(
+        self, every: int, idle: float | None, stop: threading.Event, watch: Watch | None,
+        progress: Callable[[float, str], None],
+    ) -> StreamSummary:  # fmt: skip
         begun = told = last = time.monotonic()
         samples = fresh = 0
+        waits = idle is None and self.source.share is not None  # a file that may grow for ever
         ended, broken, follows = "stopped", None, self.follows
         while not stop.is_set():
             try:
@@ -154,6 +168,11 @@ class _Run:
                     self._claim()
                 count = follows.take(stamps, values, self.output, watch)
                 samples, fresh, last = samples + count, fresh + count, now
+                if (share := self.source.share) is not None:
+                    progress(share, f"{samples} samples tracked")
+            elif waits and now - last >= STANDS:
+                waits = False
+                log.warning(WAITS, self.name, samples)
             elif idle is not None and now - last >= idle:
                 ended = f"nothing has come for {idle:g} s"
                 break

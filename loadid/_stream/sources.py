@@ -58,6 +58,10 @@ class ByteSource(Protocol):
             The source broke off; all that had come before was given.
         """
 
+    @property
+    def share(self) -> float | None:
+        """How much of what is there has been read, 0 to 1; None where that is not known."""
+
     def place(self, unread: int) -> dict[str, Any] | None:
         """Where it stands, less the bytes that were not used; None where that means nothing."""
 
@@ -230,6 +234,11 @@ class GrowingFile:
                 return b""
             time.sleep(min(WAITING, max(end - time.monotonic(), 0.0)))
 
+    @property
+    def share(self) -> float:
+        """As `ByteSource.share`."""
+        return self._at / max(os.fstat(self._file.fileno()).st_size, 1)
+
     def place(self, unread: int) -> dict[str, Any] | None:
         """Offset, and what stands at the begin."""
         at = self._at - unread
@@ -304,6 +313,11 @@ class Pumped:
                                  hint="start the sender again, and then this command: a run with a state goes on "
                                  "where it was")  # fmt: skip
         return data
+
+    @property
+    def share(self) -> None:
+        """As `ByteSource.share`: who sends does not say how much."""
+        return
 
     def place(self, unread: int) -> dict[str, Any] | None:
         """Nowhere: a pipe cannot be read again."""

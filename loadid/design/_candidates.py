@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._advice import Advice, Spelling
 from structures._model import Model
 from structures.errors import InputError, plain, reals
 
 Places = NDArray[np.float64] | None
-DYNAMIC = (
-    "loadid check --model MODEL.h5 says how well a hit would be found: ask it of a model for each set of sensors "
-    "(loadid calibrate --response, loadid model --sensor)"
+DYNAMIC = Advice(
+    "sensors are placed for hits by ",
+    Spelling("loadid.design.place_for_hits", "loadid design MODEL.h5 -n N --pulse 0.001:100"),
 )
 
 
@@ -287,8 +288,8 @@ def expected(sets: Sequence[CandidateSensors], amplitude: ArrayLike | None, snr:
     if not np.any(rows):
         raise InputError(
             "no load moves any sensor", where=where, found="a transfer matrix of zeros", expected="some response",
-            hint=f"layouts are judged by static loads, which accelerometers and AC-coupled sensors do not see; "
-            f"{DYNAMIC}",
+            hint=Advice("layouts are judged by static loads, which accelerometers and AC-coupled sensors do not see; ",
+                        DYNAMIC),
         )  # fmt: skip
     if amplitude is not None:
         if snr is not None or any(c.noise is None for c in sets):

@@ -19,7 +19,7 @@ from structures.errors import InputError
 from .._guards.measurement import lost_channels
 from .._plots.style import finished
 from ._candidates import CandidateSensors, expected, settle
-from ._layout import Judged, judge, table
+from ._layout import DrawnLayout, Judged, judge, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -231,7 +231,7 @@ NAMED = 12  # sensors of a bar picture whose names fit
 
 
 def draw(
-    layouts: Sequence[Judged],
+    layouts: Sequence[DrawnLayout],
     loads_at: Array | None = None,
     *,
     outline: Array | None = None,
@@ -246,7 +246,7 @@ def draw(
 
     Parameters
     ----------
-    layouts : sequence of Judged
+    layouts : sequence of DrawnLayout
     loads_at, outline, candidates : array (number, dim), optional
         Places (m) of the loads, the nodes of the structure, and all candidate sensors.
     path : path, optional
@@ -269,14 +269,7 @@ def draw(
             _map(panel, one, loads_at[:, axes], [_cut(x, axes) for x in (outline, candidates, one.at)], axes, figure)
         else:
             _line(panel, one, loads_at[:, axes[0]], [_cut(x, axes) for x in (outline, candidates, one.at)], axes[0])
-        j = one.worst
-        unit = "" if one.units[j] == "arbitrary" else f" {one.units[j]}"
-        panel.set_title(
-            f"{one.name}: {len(one.sensors)} sensors, rank {one.rank}, condition {one.kappa:.3g}\n"
-            f"worst: {one.loads[j]}, std {one.std[j]:.3g}{unit} ({one.share[j]:.0%} of its amplitude)",
-            fontsize=9,
-            loc="left",
-        )
+        panel.set_title(one.title, fontsize=9, loc="left")
     for panel in panels[len(layouts) :]:
         panel.set_visible(False)
     return finished(figure, path, show)
@@ -304,7 +297,7 @@ def _cut(x: Array | None, axes: list[int]) -> Array | None:
     return None if x is None else x[:, axes]
 
 
-def _bars(ax: Axes, one: Judged) -> None:
+def _bars(ax: Axes, one: DrawnLayout) -> None:
     """Share of every load in its order; no places are known."""
     where = np.arange(len(one.share))
     ax.bar(where, one.share, color=[ORANGE if j == one.worst else BLUE for j in where], width=0.8)
@@ -316,16 +309,16 @@ def _bars(ax: Axes, one: Judged) -> None:
                 fontsize=8, color=INK, wrap=True)  # fmt: skip
 
 
-def _share_axis(ax: Axes, one: Judged) -> None:
+def _share_axis(ax: Axes, one: DrawnLayout) -> None:
     top = max(float(one.share.max()), 1e-6)
     ax.set_ylim(-0.16 * top, 1.25 * top)
     ax.axhline(0, color=GREY, lw=0.8)
-    ax.set_ylabel("posterior std over amplitude")
+    ax.set_ylabel(one.axis)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
 
 
-def _line(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], direction: int) -> None:
+def _line(ax: Axes, one: DrawnLayout, x: Array, rest: Sequence[Array | None], direction: int) -> None:
     """Share of every load above its place; sensors below the line."""
     outline, candidates, sensors = (None if t is None else t[:, 0] for t in rest)
     ax.vlines(x, 0, one.share, color=BLUE, lw=1.2)
@@ -343,7 +336,7 @@ def _line(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], directi
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
 
 
-def _map(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], axes: list[int], figure: Any) -> None:
+def _map(ax: Axes, one: DrawnLayout, x: Array, rest: Sequence[Array | None], axes: list[int], figure: Any) -> None:
     """Loads on the surface, coloured by their share; sensors as triangles."""
     outline, candidates, sensors = rest
     if outline is not None:
@@ -359,5 +352,5 @@ def _map(ax: Axes, one: Judged, x: Array, rest: Sequence[Array | None], axes: li
     ax.margins(0.08)
     ax.set_xlabel(f"{'xyz'[axes[0]]} [m]")
     ax.set_ylabel(f"{'xyz'[axes[1]]} [m]")
-    figure.colorbar(points, ax=ax, label="posterior std over amplitude", shrink=0.85)
+    figure.colorbar(points, ax=ax, label=one.axis, shrink=0.85)
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.16))

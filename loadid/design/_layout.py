@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations, islice
 from math import comb
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,32 @@ from numpy.typing import NDArray
 from structures._readonly import ReadOnly
 
 Array = NDArray[np.float64]
+
+
+class DrawnLayout(Protocol):
+    """What a picture needs of a layout that was judged."""
+
+    axis: str
+
+    @property
+    def title(self) -> str:
+        """Above the picture."""
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Their labels."""
+
+    @property
+    def share(self) -> Array:
+        """What is drawn of each load."""
+
+    @property
+    def worst(self) -> int:
+        """Load of the largest share."""
+
+    @property
+    def at(self) -> Array | None:
+        """Places of the sensors (m)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +99,17 @@ class Judged(ReadOnly):
                 frozen = np.array(value, float)
                 frozen.setflags(write=False)
                 object.__setattr__(self, name, frozen)
+
+    axis = "posterior std over amplitude"
+
+    @property
+    def title(self) -> str:
+        """Two lines above a picture."""
+        j = self.worst
+        unit = "" if self.units[j] == "arbitrary" else f" {self.units[j]}"
+        return (f"{self.name}: {len(self.sensors)} sensors, rank {self.rank}, condition {self.kappa:.3g}\n"
+                f"worst: {self.loads[j]}, std {self.std[j]:.3g}{unit} "
+                f"({self.share[j]:.0%} of its amplitude)")  # fmt: skip
 
     @property
     def recoverable(self) -> int:
@@ -176,13 +213,14 @@ def judge(
     )
 
 
-def table(rows: list[tuple[str, ...]]) -> str:
-    """Lines of a table, columns aligned."""
-    rows = [HEADS, *rows]
-    wide = [max(len(r[i]) for r in rows) for i in range(len(HEADS))]
+def table(rows: list[tuple[str, ...]], heads: tuple[str, ...] = HEADS) -> str:
+    """Lines of a table, columns aligned; names stand at the left."""
+    rows = [heads, *rows]
+    wide = [max(len(r[i]) for r in rows) for i in range(len(heads))]
+    left = 0, heads.index("at load")
     return "\n".join(
         "  ".join(
-            c.ljust(w) if i in (0, 8) else c.rjust(w) for i, (c, w) in enumerate(zip(r, wide, strict=True))
+            c.ljust(w) if i in left else c.rjust(w) for i, (c, w) in enumerate(zip(r, wide, strict=True))
         ).rstrip()
         for r in rows
     )

@@ -264,7 +264,7 @@ class Drives(ReadOnly):
 
     # -- words, pictures, files ---------------------------------------------------------------------------------------
     def __repr__(self) -> str:
-        return (f"Drives({self.kind}, {len(self.loads)} loads for {len(self.sensors)} sensors, "
+        return (f"Drives({self.kind}, {self._sizes()}, "
                 f"{len(self.frequencies)} lines, {self.rms_error:.2g} dB rms)")  # fmt: skip
 
     def __str__(self) -> str:
@@ -274,7 +274,7 @@ class Drives(ReadOnly):
         """Errors first, then the drives, the limits that are met, and the flags."""
         f, error = self.frequencies, self.error
         k, i = np.unravel_index(int(np.argmax(np.abs(error))), error.shape)
-        many = f"{len(self.loads)} loads for {len(self.sensors)} sensors, {len(f)} lines, {f[0]:.6g} to {f[-1]:.6g} Hz"
+        many = f"{self._sizes()}, {len(f)} lines, {f[0]:.6g} to {f[-1]:.6g} Hz"
         off = f"{self.rms_error:.2f} dB rms off the target, {self.within:.1%} within {self.tolerance:g} dB"
         lines = [
             f"{self.kind} drives: {many}",
@@ -287,6 +287,10 @@ class Drives(ReadOnly):
         lines += [f"limit that binds: {name}" for name in self.bound]
         lines += [f"limit kept, with room: {n}" for n, met in zip(self.limits, self.met, strict=True) if met == 0]
         return "\n".join([*lines, *(str(flag) for flag in self.flags)])
+
+    def _sizes(self) -> str:
+        loads, sensors = len(self.loads), len(self.sensors)
+        return f"{loads} load{'s' * (loads > 1)} for {sensors} sensor{'s' * (sensors > 1)}"
 
     def plot(self, *, path: str | os.PathLike[str] | None = None, show: bool = False) -> Figure:
         """Picture of the target with its tolerance, the predicted response, the drives and the error.

@@ -184,6 +184,7 @@ def _limits(
     )
     spread = np.zeros(rows.shape)
     drives, sensors = [c.label for c in model.loads], [c.label for c in model.sensors]
+    told = []
     for n, limit in enumerate(limits):
         if (limit.kind == "amplitude") != (kind == "sine"):
             raise InputError("the limit is not of this kind of drive", where=f"Limit, {limit.channel}",
@@ -196,6 +197,7 @@ def _limits(
         if place >= loads:
             rows[n], spread[n] = allowing(rows[n], variance[:, place - loads])
         value = limit.on(f, channel)
+        told.append(limit.told(channel.unit))
         if not np.isfinite(value).any():
             raise InputError("the limit holds on no line", where=f"Limit, {limit.channel}",
                              found=f"lines from {f[0]:g} to {f[-1]:g} Hz",
@@ -204,7 +206,7 @@ def _limits(
             total[n] = value[0] ** 2
         else:
             most[n] = value if limit.kind == "density" else value**2
-    return _told_apart([str(limit) for limit in limits]), Caps(rows, spread, most, widths(f), total)
+    return _told_apart(told), Caps(rows, spread, most, widths(f), total)
 
 
 def _told_apart(names: Sequence[str]) -> tuple[str, ...]:

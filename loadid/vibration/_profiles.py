@@ -399,6 +399,11 @@ class Limit(ReadOnly):
         return np.full(len(frequencies), factor * float(value))
 
     def __str__(self) -> str:
+        return self.told("SI")
+
+    def told(self, unit: str) -> str:
+        """The limit in words; `unit` is that of the channel, in which a number without a unit of its own is."""
         value = next(x for x in (self.rms, self.density, self.amplitude) if x is not None)
-        most = str(value) if isinstance(value, Profile) else f"{value:g} {self.unit or 'SI'}"
+        own = self.unit or (unit_of(unit, DENSITIES) if self.kind == "density" and unit != "SI" else unit)
+        most = str(value) if isinstance(value, Profile) else f"{value:g} {own}"
         return f"{self.channel}: {self.kind} <= {most}"

@@ -149,8 +149,8 @@ def _tables(place: Path) -> dict[str, Any]:
         raise InputError("there is no such file", where=str(place), expected="a pad file (TOML)",
                          hint="loadid tactile demo writes one to start from") from None  # fmt: skip
     except OSError as error:
-        raise InputError("the pad file cannot be read", where=str(place), found=str(error)[:200], expected="TOML",
-                         hint="check the path") from None  # fmt: skip
+        raise InputError("the pad file cannot be read", where=str(place), found=error.strerror or str(error),
+                         expected="TOML", hint="check the path") from None  # fmt: skip
     top = TomlTable(place, "", tables)
     for name in TABLES:
         top.table(name)

@@ -66,7 +66,8 @@ def _eight_bits(array: NDArray[Any], where: str) -> Grey:
         raise UnusableFrame("an image holds NaN or infinity", where=where, expected="finite grey levels")
     low, high = float(array.min()), float(array.max())
     if low < 0 or high > 255:
-        raise UnusableFrame("grey levels out of range", where=where, found=f"{low:g} to {high:g}", expected="0 to 255")
+        raise UnusableFrame("grey levels out of range", where=where, found=f"{low:g} to {high:g}", expected="0 to 255",
+                            hint="name images of the markers here; depth maps go beside them")  # fmt: skip
     scale = 255.0 if high <= 1.0 and array.dtype.kind == "f" else 1.0
     return np.round(array * scale).astype(np.uint8)
 

@@ -79,7 +79,7 @@ def test_the_command_line_goes_first(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('output = "out"', "", "output of"),
+        ('output = "out"', "", "'output' is missing"),
         ('choice = "gcv"', 'choise = "gcv"', r"\[job\]: there is no such key.*'choise'.*did you mean 'choice'"),
         ('choice = "gcv"', 'choice = "gvc"', r"\[job\].*gvc.*is no rule"),
         ('choice = "gcv"', 'family = "frequency"', r"\[job\], family.*deconvolution or sparse"),

@@ -44,7 +44,8 @@ def main() -> None:
         of = grades.drawn(given.problems, given.seed)
         grades.table(of)
         if given.write:
-            grades.write(of, given.seed)
+            other = grades.drawn(given.problems, given.seed + 1)
+            grades.write(of, other, f"--problems {given.problems} --seed {given.seed}")
     else:
         settings: dict[str, Any] = {k: v for k in ("size", "longest") if (v := vars(given)[k]) is not None}
         if given.variance:

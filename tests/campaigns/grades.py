@@ -1,7 +1,8 @@
 """What each grade is worth, measured: errors of the answers that received it, all loads and models together.
 
 ``python -m tests.campaigns grades --problems 24 --seed 7`` prints it; with ``--write`` the odds that answers state are
-set to it (`loadid/_results/grades.toml`). Quote them on other seeds.
+set to it (`loadid/_results/grades.toml`), over the seed and the next one: the better grades by the wider of the two
+where both gave them to enough answers, else, as the worst one, by all together. Quote them on other seeds.
 """
 
 from __future__ import annotations
@@ -50,6 +51,13 @@ def measured(found: Sequence[Scored]) -> dict[str, GradeOdds]:
     return odds
 
 
+def together(one: Sequence[Scored], two: Sequence[Scored]) -> dict[str, GradeOdds]:
+    """Odds of two seeds."""
+    each, both = [measured(one), measured(two)], measured([*one, *two])
+    wider = {k: max(m[k].within for m in each) for k in LETTERS[:-1] if all(k in m for m in each)}
+    return {k: GradeOdds(odds.answers, wider.get(k, odds.within)) for k, odds in both.items()}
+
+
 def table(found: dict[str, list[Scored]], told: Callable[[str], None] = print) -> None:
     """Print each grade of each family: errors, how many lie within what is stated, and what the worst one costs."""
     told(f"{'':18s} grade    n    error 10 %   half  90 %  95 %   stated  within  flags")
@@ -71,10 +79,11 @@ def table(found: dict[str, list[Scored]], told: Callable[[str], None] = print) -
         told(f"{family}: the worst grade was given to {lost} of {len(good)} good answers; {lost} of its {len(worst)}")
 
 
-def write(found: dict[str, list[Scored]], seed: int) -> None:
-    """Set the odds that answers state."""
-    lines = [f"# python -m tests.campaigns grades --problems N --seed {seed} --write"]
-    for family, scores in found.items():
+def write(one: dict[str, list[Scored]], two: dict[str, list[Scored]], how: str) -> None:
+    """Set the odds that answers state, by two seeds; `how` they were made."""
+    lines = [f"# python -m tests.campaigns grades {how} --write"]
+    for family in one:
         lines.append(f'["{family}"]')
-        lines += [f"{k} = {{ answers = {o.answers}, within = {o.within:.2f} }}" for k, o in measured(scores).items()]
+        lines += [f"{letter} = {{ answers = {o.answers}, within = {o.within:.2f} }}"
+                  for letter, o in together(one[family], two[family]).items()]  # fmt: skip
     Path(stated.__file__).with_name("grades.toml").write_text("\n".join(lines) + "\n", "utf-8")

@@ -18,20 +18,24 @@ from loadid import (
     FrequencyInversion,
     HarmonicInversion,
     LoadEstimate,
+    LoadTracker,
     NotIdentifiable,
     Penalty,
     Record,
+    ShapeSensing,
     SparseDeconvolution,
     Spectra,
     StaticInversion,
+    priors,
 )
 from loadid._commands import NOT_USABLE, exit_code
+from loadid._families.tracking import samples as blocks
 from loadid._inverse.diagnosis.detection import SupportTest, noise_alone
 from loadid._inverse.problem import LinearProblem
 from loadid._inverse.svd import SVDPath
 from loadid._results.report import page
 from loadid.constraints import NonNegative
-from structures import Flag, ForwardModel, bases, beams, damping, loads, sensors
+from structures import Flag, ForwardModel, bases, beams, damping, loads, plates, sensors
 
 from .cases import Case
 
@@ -276,9 +280,104 @@ def test_a_window_that_misses_names_where_the_load_is(windows: list[tuple[float,
     assert f"--support {ends[0][0]}:{ends[0][1]}" in flag.command  # to the same digits
 
 
+# -- tracked loads -----------------------------------------------------------------------------------------------------
+LENGTH, TRACKED = 0.02, 1500  # s, samples
+
+
+def process(rng: np.random.Generator, rms: float) -> np.ndarray:
+    """A load (samples, 1) by its spectrum, no filter: Matern 3/2."""
+    f = np.fft.rfftfreq(8 * TRACKED, DT)
+    power = (3 / LENGTH**2 + (2 * np.pi * f) ** 2) ** -2.0
+    lines = np.sqrt(power) * (rng.standard_normal((2, len(f))) * np.array([[1], [1j]])).sum(axis=0)
+    own = np.sqrt(np.sum(power) * 2 * 2) / (8 * TRACKED)  # of its expected square
+    return rms / own * np.fft.irfft(lines)[:TRACKED, None]
+
+
+def codes(estimate: LoadEstimate) -> list[str]:
+    return [flag.code for flag in estimate.flags]
+
+
+@cache
+def tracker(known: bool) -> Any:
+    rng = np.random.default_rng([31, 7])
+    y = beam("disp").predict(process(rng, 20.0), DT) + 1e-6 * rng.standard_normal((TRACKED, 2))
+    own = priors.Matern32(sd=20.0, length=LENGTH)
+    return LoadTracker(beam("disp"), prior=own, noise=1e-6 if known else None).fit(y, DT)
+
+
+def moved(rms: float, seed: int = 0) -> np.ndarray:
+    """Displacements of a load with noise of 1e-6 m."""
+    rng = np.random.default_rng([31, 8, seed])
+    return beam("disp").predict(process(rng, rms), DT) + 1e-6 * rng.standard_normal((TRACKED, 2))
+
+
+def tracked(rms: float, how: str = "smooth") -> LoadEstimate:
+    tracker(True).reset()
+    return getattr(tracker(True), how)(moved(rms))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_tracked_load_is_told_from_its_bound_on_and_noise_is_not(known: bool) -> None:
+    """40 records each of noise, of loads at the bound, which 95 % are promised for, and of far smaller ones."""
+    fitted, seeds = tracker(known).fitted, range(40)
+    quiet = [blocks.not_told(fitted, moved(0.0, k)) for k in seeds]
+    assert sum(one is not None for one in quiet) >= 38
+    (bound,) = next(one for one in quiet if one is not None).facts["told_from"]
+    assert sum(blocks.not_told(fitted, moved(bound, k)) is not None for k in seeds) <= 3
+    assert sum(blocks.not_told(fitted, moved(bound / 8, k)) is not None for k in seeds) >= 36
+
+
+def test_a_track_of_noise_is_no_number_and_a_fit_to_it_not_calibrated() -> None:
+    quiet = tracked(0.0, how="track")
+    assert CODE in codes(quiet)
+    assert quiet.grade.letter == "D"
+    assert quiet.facts.told_from is not None
+    assert CODE not in codes(tracked(20.0, how="track"))
+    assert tracker(True).certificate.told
+    y = 1e-6 * np.random.default_rng([31, 9]).standard_normal((400, 2))
+    found = LoadTracker(beam("disp"), noise=1e-6, prior="ou").fit(y, DT)
+    assert found.certificate.verdict == "not calibrated"
+    assert "tells no load from noise" in found.certificate.failing[0]
+    assert CODE in codes(found.track(y))
+    assert CODE not in codes(found.track(y[:20]))  # too few to be asked
+
+
+# -- plates by their shape ---------------------------------------------------------------------------------------------
+@cache
+def plate(known: bool) -> ShapeSensing:
+    """72 gauges with noise of 3e-7."""
+    own = plates.plate(lengths=(1, 1), thickness=5e-3, material=plates.Material(E=70e9, rho=2700, nu=0.33), elements=8)
+    p = np.linspace(0.05, 0.95, 6)
+    gauges = [sensors.StrainGauge(at=(x, y), fibre=2.5e-3, angle=a, label=f"{x:.2f} {y:.2f} {a:.1f}")
+              for y in p for x in p for a in (0.0, np.pi / 2)]  # fmt: skip
+    return ShapeSensing(own, gauges, noise=3e-7 if known else None)
+
+
+def bent(pressure: float, seed: int = 0, known: bool = True) -> LoadEstimate:
+    """Under a pressure all over (Pa), by the elements and not by the functions of the inversion."""
+    family = plate(known)
+    strains = family.model.static().sum(axis=1) * pressure
+    return family.estimate(strains + 3e-7 * np.random.default_rng([31, 5, seed]).standard_normal(len(strains)))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_pressure_of_a_plate_is_told_from_its_bound_on(known: bool) -> None:
+    quiet = bent(0.0, 1, known)
+    assert CODE in codes(quiet)
+    assert "Pa all over would have been" in quiet.summary().splitlines()[0]
+    (bound,) = quiet.facts.told_from
+    assert CODE not in codes(bent(bound, 2, known))
+    assert CODE in codes(bent(bound / 4, 3, known))
+    frames = plate(known).estimate(3e-7 * np.random.default_rng([31, 6]).standard_normal((20, 72)), 1e-3)
+    assert CODE in codes(frames)
+
+
 CASES = [
     Case("W318", lambda: answered(noise(4)).flags, lambda: answered(noise(4) + finer("acc", (150, 10, 20.0))[1]).flags,
          r"half sine of 2\.44 ms\) of \d", "record"),
+    Case("W318", lambda: tracked(0.0).flags, lambda: tracked(20.0).flags, r"of \S+ N rms that moves as its prior",
+         "tracked"),
+    Case("W318", lambda: bent(0.0).flags, lambda: bent(20.0).flags, r"\d Pa all over", "plate"),
     Case("W318", lambda: of_lines(0.0), lambda: of_lines(1.0), r"a load of \d\S* N on every line", "lines"),
     Case("W318", lambda: of_line(0.0), lambda: of_line(30.0), r"an amplitude of \d\S* N", "line"),
     Case("W318", lambda: of_readings(0.0), lambda: of_readings(10.0), r"a load of \d\S* N alone", "readings"),

@@ -4,7 +4,9 @@ import io
 import json
 import subprocess
 import sys
+import tomllib
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +28,7 @@ GROUP = EntryPoints(
     for name in ("demo", "info", "check", "calibrate", "identify")
 )
 RATE = 2000.0
+PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 @pytest.fixture(autouse=True)
@@ -168,6 +171,12 @@ def test_other_packages_add_commands_and_cannot_break_it(run, monkeypatch):
     assert code == 7
     assert "'broken'" in err
     assert "left out" in err
+
+
+def test_commands_of_its_own_are_those_that_are_registered():
+    """An install in place that is older than its tree knows them all the same."""
+    stated = tomllib.loads(PROJECT.read_text("utf-8"))["project"]["entry-points"][cli.GROUP]
+    assert set(cli._OWN) == {name for name, value in stated.items() if value.startswith("loadid.")}
 
 
 def test_without_entry_points_it_says_so_and_goes_on(run, monkeypatch, logs):

@@ -29,6 +29,10 @@ def test_a_log_comes_back(run, logs, tmp_path, suffix):
     np.testing.assert_array_equal(new.values, old.values)
 
 
+def test_a_rate_that_the_file_contradicts_is_said(run, logs, tmp_path):
+    assert "contradict" in run("convert", logs[0], "-o", tmp_path / "new.csv", "--fs", "100")[1]
+
+
 def test_a_result_is_its_loads_and_stds(run, logs, model, tmp_path):
     assert run("identify", logs[3], "--model", model, "-o", tmp_path / "r.h5")[0] == 0
     assert run("convert", tmp_path / "r.h5", "-o", tmp_path / "load.npz")[0] == 0

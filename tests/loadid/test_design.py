@@ -415,16 +415,16 @@ def test_places_of_a_model():
 def test_a_model_of_hits_is_sent_where_hits_are_judged(tmp_path, monkeypatch, capsys):
     """FRFs have no static response, accelerometers see no static load: neither is told to take another family."""
     from loadid import calibrate, cli, datasets
+    from loadid._commands import load_model
 
     made = datasets.hammer_test(tmp_path)
     monkeypatch.chdir(tmp_path)
     calibrate([str(f) for f in made.files[:3]], force="hammer", responses=["acc1", "acc2"]).save("frfs.h5")
     made.model.save("beam.h5")
     for name, said in (("frfs.h5", "of hits or FRFs"), ("beam.h5", "accelerometers and AC-coupled")):
-        assert cli.main(["design", name, "-n", "1"]) == 3
-        error = capsys.readouterr().err
-        assert said in error
-        assert "loadid check --model" in error
-        assert "StaticInversion" not in error
-        assert cli.main(["check", "--model", name]) == 0
+        with pytest.raises(InputError, match=said) as refused:
+            design.place(load_model(name), 1)
+        assert "place_for_hits" in str(refused.value)
+        assert "--pulse" in refused.value.command
+        assert cli.main(["design", name, "-n", "1"]) == 0
         assert "would be found to" in capsys.readouterr().out

@@ -13,10 +13,11 @@ import pytest
 
 from loadid import InputError, LoadEstimate, cli, compare, identify, load, read
 from loadid._commands import _inputs, _settings
+from loadid._commands import compare as comparing
 from loadid._commands._job import READING, WORDS, beside, resolved, written
 from loadid._commands._job import read as read_job
 from loadid._spellings import ARGUMENTS
-from structures import ForwardModel, bases, beams, damping, loads, sensors
+from structures import ForwardModel, ImpulseModel, bases, beams, damping, loads, sensors
 
 RATE = 2000
 BEAM = beams.simply_supported(
@@ -382,6 +383,18 @@ def test_what_a_family_refuses_is_a_row(folder: Path) -> None:
     assert all(row.held_out is None for row in told.families)
     with pytest.raises(InputError, match="no such family for these data"):
         compare(folder / "log.csv", hit_model(), families=["gradients"])
+
+
+def test_families_that_the_model_does_not_carry_are_not_asked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = hit_model()
+    table = ImpulseModel(own.impulse_response(1 / RATE, 240), 1 / RATE, kind="held", hold=own.default_hold,
+                         sensors=own.sensors, loads=own.loads)  # fmt: skip
+    few = {name: one for name, one in comparing.HISTORIES.items() if name in ("deconvolution", "smooth", "tracker")}
+    monkeypatch.setattr(comparing, "HISTORIES", few)
+    told = compare(read(folder / "log.csv"), table, validation=[])
+    assert [row.name for row in told.families] == ["deconvolution"]
+    assert "not asked, as they need a state space and this model has none: smooth, tracker; loadid modes" in str(told)
+    assert "refused" not in str(told)
 
 
 def test_of_noise_no_number_is_to_be_used(run: Any, tmp_path: Path, folder: Path) -> None:

@@ -184,6 +184,33 @@ def test_late_rows_are_put_in_their_place_and_beyond_the_window_counted(made, tm
     assert set(np.flatnonzero(away > 1e-10 * np.abs(load).max())) == set(out)  # were out when the row came
 
 
+def test_a_file_that_has_been_read_is_waited_for_and_this_is_said(made, run, tmp_path, monkeypatch, caplog):
+    """Once, with what ends the run; a file that ends by itself needs no word, and tells how far it is read."""
+    log, shares = tmp_path / "log.csv", []
+    log.write_bytes(b"".join(made[2][:101]))
+    monkeypatch.setattr("loadid._stream.STANDS", 0.2)
+
+    def interrupt():
+        until = time.monotonic() + 20
+        while time.monotonic() < until and not any("waits" in r.message for r in caplog.records):
+            time.sleep(0.01)
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    code, _, err = run("--model", made[3], "--in", log, "--out", tmp_path / "out.csv")
+    thread.join()
+    assert (code, err.count("waits for the file to grow")) == (0, 1)
+    assert "100 samples are answered" in err
+    assert "--idle" in err
+    follow(
+        Tracker.load(made[3]), str(log), str(tmp_path / "o.csv"), idle=0, progress=lambda f, t: shares.append((f, t))
+    )
+    assert shares[-1] == (1.0, "100 samples tracked")
+    assert "waits" not in run("--model", made[3], "--in", log, "--out", tmp_path / "p.csv", "--idle", "0.5")[2]
+
+
 def test_a_signal_ends_a_run_after_its_checkpoint(made, run, tmp_path):
     log, out, state = (tmp_path / name for name in ("log.csv", "out.csv", "state.h5"))
     log.write_bytes(b"".join(made[2][:101]))

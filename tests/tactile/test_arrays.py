@@ -155,6 +155,8 @@ def test_what_a_press_a_small_pull_and_noise_do_is_no_turned_depth() -> None:
     arrays.settled_depth(0.0, float(noisy.max()), 3e-5, 5e-5)
     with pytest.raises(InputError, match="pulls the surface out"):
         arrays.settled_depth(0.0, 4e-4, 3e-5, 5e-5)
+    with pytest.raises(InputError, match=r"no depths.*not images of the markers"):
+        arrays.settled_depth(0.0, 160.0, 3e-3)
 
 
 def test_absolute_maps_are_taken_off_by_zero() -> None:

@@ -660,6 +660,8 @@ add("answer/bands", lambda: sources.octave_bands(3, 20.0, 2000.0))
 add("answer/validation", lambda: validate.validate(histories().estimate(p.pushed()[0], DT),
                                                    validate.Known(np.ones((p.N, 1)))), str)  # fmt: skip
 add("answer/design", lambda: design.compare({"a": p.kernel()[0]}, noise=np.ones(24)), str)
+add("answer/placement for hits", lambda: design.place_for_hits(p.chain(p.TWO), 1, pulse=(0.5, 1.0)),
+    lambda f: str(f.table()))  # fmt: skip
 add("answer/placement", lambda: design.place(p.kernel()[0][:, ::6], 8, noise=0.1), lambda f: str(f.table()))
 add("path", path_of_ones_own, swept)
 add("path/statespace", lambda: case(p.chain(p.TWO).state_space(DT), 80).path("identity"), errors_of)

@@ -90,7 +90,7 @@ def test_a_field_record_stands_for_the_target(folder: Path, capsys: pytest.Captu
         (("levels", "level"), "did you mean 'levels'?"),
         (('channel = "k1"', 'channel = "k2"'), "k2"),
         (("[[target]]", 'field = "none.csv"\n[[target]]'), "there is no such field"),
-        (('unit = "g^2/Hz"\n[[limit]]', "[[limit]]"), "unit of [[target]]"),
+        (('unit = "g^2/Hz"\n[[limit]]', "[[limit]]"), "'unit' is missing"),
         (('sensors = ["a1", "a2", "a3"]', 'sensors = ["b1"]'), "b1"),
         (("rms = 3.0", "rms = -3.0"), "shaker 1"),
         (("[[target]]", "lines = {from = 60, to = 50, step = 1}\n[[target]]"), "0 < from < to"),
@@ -109,6 +109,14 @@ def test_a_job_that_is_wrong_is_refused(folder: Path, edit: tuple[str, str], say
     assert cli.main(["vibration", str(folder / "job.toml")]) == 3
     assert says in capsys.readouterr().err
     assert not (folder / "drives.h5").exists()
+
+
+def test_a_model_of_all_frequencies_asks_for_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    beam = beams.cantilever(length=1.0, EI=10.0, mass_per_length=2.0, elements=4)
+    ForwardModel(beam, [sensors.Accelerometer("3+Z")], [loads.Point("4+Z")]).save(tmp_path / "beam.h5")
+    (tmp_path / "job.toml").write_text(JOB.split("[[limit]]")[0].replace("frfs.h5", "beam.h5"))
+    assert cli.main(["vibration", str(tmp_path / "job.toml")]) == 3
+    assert "lines = {from = " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("whole", [False, True], ids=["autospectra", "matrix"])

@@ -120,6 +120,8 @@ class TrackCertificate:
         Hz.
     lengths : tuple of (float or None)
         Correlation length of each load that the record has told, in samples; None where it was given, or has none.
+    told : bool
+        The record tells a load from noise.
     """
 
     samples: int
@@ -137,11 +139,12 @@ class TrackCertificate:
     loads: tuple[str, ...] = ()
     nyquist: float = float("inf")
     lengths: tuple[float | None, ...] = ()
+    told: bool = True
 
     @property
     def failing(self) -> tuple[str, ...]:
         """Tests that are not passed, in words: of the size of what is wrong, which no length of a record changes."""
-        found = []
+        found = [] if self.told else ["the record tells no load from noise, so that none has tuned the prior"]
         if not CALM <= self.nis <= RESTLESS:
             found.append(f"NIS per channel {self.nis:.3f} ({CALM:g} to {RESTLESS:g})")
         if self.whiteness > MOVING:

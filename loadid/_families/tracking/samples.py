@@ -22,6 +22,7 @@ from ..._results.estimate import Axis, LoadEstimate
 from ..._results.facts import Facts, provenance
 from ..answer import SolvedLoad, labelled
 from ..data import Data, numbers
+from ..detection import NotTold, of_track
 from .fit import TrackerFit
 
 EXPECTED = "a positive number, or (low, high) with low < high"
@@ -200,11 +201,19 @@ def values(f: TrackerFit, block: Any, dt: float | None) -> tuple[Array, dict[str
     return np.ascontiguousarray(values, float), inputs
 
 
+def not_told(f: TrackerFit, Y: Array) -> NotTold | None:
+    """What is said of samples that tell no load from noise; None where they do, or are too few to be asked."""
+    return of_track(f.model, Y, f.noise_source.kind not in ("residual", "unknown"), f.loads)
+
+
 def estimate(
     f: TrackerFit, counts: Mapping[str, int], load: Array, std: Array, Y: Array | None, rest: Array | None,
-    inputs: dict[str, str], first: int, path: str, flags: Iterable[Flag],
+    inputs: dict[str, str], first: int, path: str, flags: Iterable[Flag], said: NotTold | None = None,
 ) -> LoadEstimate:  # fmt: skip
-    """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them."""
+    """Estimate of a block from sample `first` on; Y, rest (samples, sensors): data and what is left of them.
+
+    `said`: of samples that tell no load from noise.
+    """
     there = np.ones((len(load), len(f.sensors)), bool) if Y is None else np.isfinite(Y)
     lost = int(np.sum(~there))
     facts = Facts(
@@ -213,6 +222,8 @@ def estimate(
     )  # fmt: skip
     if lost:
         facts = replace(facts, missing=f"{lost} of {there.size} channel samples")
+    if said is not None:
+        facts, flags = replace(facts, **said.facts), (*flags, said.flag)
     found = SolvedLoad(
         load=load, std=std, axis=Axis("time", "s", np.asarray((first + np.arange(len(load))) * f.dt, float)),
         response=None if Y is None else np.where(there, Y, 0.0), facts=facts,

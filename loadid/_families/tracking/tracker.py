@@ -104,12 +104,14 @@ class Tracker(Running):
             raise InputError("the block ends before the first late answer", where="track", found=f"{len(Y)} samples",
                              expected=f"more than the lag of {self.lag}", hint="hand over more at once")  # fmt: skip
         load, std, e = self.run(Y, progress)
+        Y, path = inside(Y, self.fitted.limits), PATH if self.engine == "own" else "filterpy, full covariance"
+        said = blocks.not_told(self.fitted, Y)
         if self.lag:
             return blocks.estimate(self.fitted, self.counts, load[skip:], std[skip:], None, None, inputs,
-                                   first - self.lag + skip, f"{PATH}, {self.lag} samples late", self.flags)  # fmt: skip
-        Y, path = inside(Y, self.fitted.limits), PATH if self.engine == "own" else "filterpy, full covariance"
+                                   first - self.lag + skip, f"{PATH}, {self.lag} samples late", self.flags,
+                                   said)  # fmt: skip
         return blocks.estimate(self.fitted, self.counts, load, std, Y, e * self._spread(), inputs, first, path,
-                               self.flags)  # fmt: skip
+                               self.flags, said)  # fmt: skip
 
     def smooth(
         self, record: Any, dt: float | None = None, *, progress: Callable[[float, str], None] | None = None
@@ -137,7 +139,8 @@ class Tracker(Running):
         found = smooth_record(filtered, progress=lambda f, t: told(0.5 + 0.5 * f, t))
         std = found.std if self.fitted.wider is None else found.std * self.fitted.wider
         return blocks.estimate(self.fitted, self.counts, found.load, std, Y, found.residual, inputs, 0, path,
-                               self.flags if start is None else (*self.flags, start.flag))  # fmt: skip
+                               self.flags if start is None else (*self.flags, start.flag),
+                               blocks.not_told(self.fitted, Y))  # fmt: skip
 
     # -- another model ----------------------------------------------------------------------------------------------
 

@@ -112,6 +112,15 @@ def test_a_claim_of_128_gib(path):
         read(path, fs=1, units={"x": "N"})
 
 
+def test_groups_beyond_number_are_refused_in_their_own_words(path):
+    with h5py.File(path, "w") as file:
+        for k in range(10_050):
+            file.create_group(f"g{k}")
+        file["x"] = np.ones(10)
+    with pytest.raises(InputError, match=r"too many groups and datasets.*a file of their own"):
+        read(path, fs=1, units={"x": "N"})
+
+
 def test_a_bomb(path):
     with h5py.File(path, "w") as file:
         file.create_dataset("x", data=np.zeros(2**24), chunks=(2**20,), compression="gzip")

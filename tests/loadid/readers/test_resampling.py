@@ -1,15 +1,18 @@
 """Uneven stamps and several clocks on one even grid: held against closed forms, between and at the samples."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import loadid
 from loadid import cli
 from loadid._readers.resampling import resampled
 from structures._flags import codes
 from structures.errors import InputError
+from tests.guards.test_not_told import DT, beam
 
 from .exports import BEGIN
 
@@ -44,6 +47,43 @@ def test_the_error_is_that_of_the_closed_form_within_its_estimate(band):
         error = np.sqrt(np.mean((found.values[:, 0] - truth(grid)) ** 2))
         assert error < 1.3 * found.error[0] < 60 * error
         assert found.gaps == 0
+
+
+def test_the_error_of_the_interpolation_is_noise_of_the_channel(tmp_path):
+    """Short hits on a beam of a finer mesh, sampled at uneven times: errors and bands with it and without it."""
+    model, finer = beam("acc"), beam("acc", 80, 14)
+    fine, samples, found = 8, 400, []
+    t = np.arange(samples * fine) * DT / fine
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        force = np.zeros_like(t)
+        for start in rng.uniform(0.1, 0.85, 3) * samples * DT:
+            force += rng.uniform(50, 200) * np.sin(np.pi * np.clip((t - start) / 1e-3, 0, 1))
+        clean = finer.predict(force[:, None], DT / fine)
+        noise = 0.001 * clean.std(axis=0)
+        times = jittered(seed, samples, 1 / DT, 0.6)
+        times = times[times < t[-1]]
+        seen = CubicSpline(t, clean)(times) + noise * rng.standard_normal((len(times), 2))
+        names = ("time [s]", *(f"{c.label} [{c.unit}]" for c in model.sensors))
+        record = loadid.read(table(tmp_path / "log.csv", times, *seen.T, names=names), fs=1 / DT)
+        error = [c.interpolation for c in record.channels]
+        assert all(e > 10 * s for e, s in zip(error, noise, strict=True))
+        assert error == [c.interpolation for c in record.select([c.label for c in model.sensors]).channels]
+        truth = np.interp(times[0] + record.time, t, force)
+        bare = loadid.Record(record.values, DT, [replace(c, interpolation=None) for c in record.channels])
+        for one in (record, bare):
+            answer = loadid.Deconvolution(model, noise=noise).estimate(one)
+            miss = np.abs(answer.load[:, 0] - truth)
+            found.append([np.linalg.norm(miss), np.mean(miss < 1.96 * answer.std[:, 0]), answer.grade.letter == "D"])
+            told = "interpolation" in answer.facts.noise_source
+            assert told == (one is record)
+    with_it, without = np.array(found[::2], float).mean(axis=0), np.array(found[1::2], float).mean(axis=0)
+    assert with_it[0] < 0.9 * without[0]
+    assert with_it[1] > 0.95
+    assert (with_it[2], without[2]) == (0, 1)  # what is stated as noise alone contradicts the answer
+    steady = loadid.Record(record.values, DT, [replace(c, interpolation=1e-9) for c in record.channels])
+    quiet = loadid.Deconvolution(model, noise=noise).estimate(steady)  # far below the noise: not spoken of
+    assert "interpolation" not in quiet.facts.noise_source
 
 
 def test_a_log_of_uneven_stamps_is_resampled_by_name(tmp_path, capsys):
