@@ -196,6 +196,7 @@ class SpectralPosterior:
 
 ELSEWHERE = {  # kind -> module and class that reads it
     "acting": (".support", "ActingPosterior"),
+    "correlated": (".._learning.outputs", "StaticPosterior"),
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
     "drawn": (".marginal", "DrawnPosterior"),
     "marginal": (".marginal", "MarginalPosterior"),

@@ -23,7 +23,7 @@ from .outputs import Outputs
 from .training import require_channels
 
 KIND = "learned map"
-VERSION = 2
+VERSION = 3
 
 
 def save(fitted: Any, path: Any) -> None:
