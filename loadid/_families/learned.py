@@ -25,11 +25,12 @@ from .._learning.engine import ENGINES, Engine, engine
 from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
+from .._learning.posterior import HistoryPosterior, StaticPosterior, over_time
 from .._learning.training import Lesson, has_gaps, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
-from .answer import over_time
+from .answer import over_time as along_time
 from .data import gather, readings
 from .deconvolution import Deconvolution
 from .smoothness import geometry
@@ -192,6 +193,8 @@ class FittedMap(ReadOnly):
         Coverage, draws and fingerprint of the training set, whether readings are missing there; hold.
     adaptation : Adaptation, optional
         What real records told.
+    along : array (lags, outputs, outputs), optional
+        How errors of histories go along from sample to sample.
     """
 
     model: Model
@@ -204,6 +207,7 @@ class FittedMap(ReadOnly):
     physics: Any
     facts: Mapping[str, Any]
     adaptation: Adaptation = field(default=None)  # type: ignore[assignment]
+    along: Array | None = None
 
     def __post_init__(self) -> None:
         if self.adaptation is None:
@@ -245,7 +249,7 @@ class FittedMap(ReadOnly):
             self._require_step(data.dt)
             lost = bool(data.missing.any()) and not self.facts["gaps"]
             given = data  # type: ignore[assignment]
-            values, axis = data.values[None], over_time(len(data.values), data.dt)
+            values, axis = data.values[None], along_time(len(data.values), data.dt)
         told = self.predict(values)
         alarms = np.array([v.alarm or lost for v in told.verdicts])
         own = self._assembled(given, values, axis, told)
@@ -417,11 +421,11 @@ class FittedMap(ReadOnly):
         )  # fmt: skip
 
     def _posterior(self, told: Prediction, single: bool) -> Any:
-        W = self._correlation
-        if W is None or self.dt is not None:
-            return None
+        W, sign = self._correlation, np.sign(self.adaptation.gain)
         own, shared = (x[0] if single else x for x in (told.own, told.shared))
-        return outs.StaticPosterior(W * np.sign(self.adaptation.gain), own, shared)
+        if self.dt is None:
+            return None if W is None else StaticPosterior(W * sign, own, shared)
+        return None if self.along is None else HistoryPosterior(self.along * sign[:, None] * sign, own, shared)
 
 
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
@@ -438,9 +442,11 @@ def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
-    found = calibrated(
-        np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach, plain.share
-    )
+    off, std = np.concatenate(errors), np.concatenate(stds)
+    found = calibrated(off, std, map_.outputs.group_of, coverage, reach, plain.share)
+    if lesson.dt is not None:
+        std = found.multiplied(std)
+        map_ = replace(map_, along=over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0)))
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
 
 

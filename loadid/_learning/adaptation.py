@@ -174,7 +174,7 @@ def _fitted(found: Sequence[Told], columns: Sequence[Array], before: Array) -> t
     apart = sum(max(1.0, len(o) / t.together) for t, o in zip(found, off, strict=True))
     wider = float(stdtrit(BEFORE + apart, WITHIN)) / NormalDist().inv_cdf(WITHIN)  # of Student's t: it was measured
     if any(t.sums is not None for t in found):  # sums that are off by less do not tell that loads are
-        spread = max(spread, 1.0)
+        return x, F, max(spread * wider, 1.0)
     return x, F, spread * wider
 
 

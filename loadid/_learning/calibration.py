@@ -54,7 +54,11 @@ class Factors:
 
     def applied(self, mean: Array, std: Array) -> Array:
         """Std of what an engine answers, (n, [samples,] outputs): of means of that shape and of its own std."""
-        return self.grown(mean, std) * (self.inside if mean.ndim == 2 else self._of(mean.shape[1]))
+        return self.multiplied(self.grown(mean, std))
+
+    def multiplied(self, std: Array) -> Array:
+        """Std (n, [samples,] outputs) that has grown, by its factors."""
+        return np.asarray(std * (self.inside if std.ndim == 2 else self._of(std.shape[1])))
 
     def grown(self, mean: Array, std: Array) -> Array:
         """As `applied`, before it is multiplied; what the engine is certain of stays so."""

@@ -159,47 +159,6 @@ class Known:
         return Told(mean, self.sums, self.values, error, None, 1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class StaticPosterior:
-    """Covariance of a static load: correlation W^T W, the same in every frame, and errors that all frames share.
-
-    Parameters
-    ----------
-    W : array (k, outputs)
-    own : array ([frames,] outputs)
-        Std without what is shared.
-    shared : array ([frames,] j, outputs)
-        Errors of unit std.
-    """
-
-    W: Array
-    own: Array
-    shared: Array
-
-    def variance(self, w: Array) -> Array:
-        """Of weights (..., [frames,] outputs); frames err independently but for what they share."""
-        w = np.asarray(w, float)
-        along = np.sum(((w * self.own) @ self.W.T) ** 2, axis=-1)
-        beside = np.einsum("...o,...jo->...j", w, self.shared)
-        if self.own.ndim > 1:
-            along, beside = np.sum(along, axis=-1), np.sum(beside, axis=-2)
-        return np.asarray(along + np.sum(beside**2, axis=-1))
-
-    @property
-    def std(self) -> Array:
-        """Of each load, the shape of the load."""
-        return np.asarray(np.hypot(self.own, np.linalg.norm(self.shared, axis=-2)))
-
-    def to_arrays(self) -> dict[str, Any]:
-        """What a file keeps."""
-        return {"kind": "correlated", **vars(self)}
-
-    @classmethod
-    def from_arrays(cls, tree: Mapping[str, Any]) -> Self:
-        """Inverse of `to_arrays`."""
-        return cls(*(np.asarray(tree[name], float) for name in ("W", "own", "shared")))
-
-
 def _finite(given: Any) -> Array:
     values = reals(given, where="more")
     finite(values, where="more", hint="leave records of unknown force out")
@@ -212,10 +171,10 @@ def words(verdict: Verdict) -> str:
 
 
 def _variances(found: LoadEstimate, matrix: Array) -> Array:
-    """Variance of sums of loads (rows of a matrix), in every sample or frame."""
+    """Variance of sums of loads (rows of a matrix), in every sample or frame; at most, where nobody knows more."""
     posterior, load = found.posterior, np.asarray(found.load)
     if posterior is None or (load.ndim == 2 and len(load) > FRAMES):
-        return np.asarray(found.std**2 @ (matrix**2).T)
+        return np.asarray((found.std @ np.abs(matrix).T) ** 2)
     rows = np.atleast_2d(load)
     out = np.zeros((len(rows), len(matrix)))
     for i in range(len(rows)):

@@ -5,6 +5,7 @@ import pytest
 
 import loadid
 from loadid import Deconvolution, InputError, LearnedMap, Record, StaticInversion
+from loadid._learning.posterior import HistoryPosterior, over_time
 from loadid.generate import Examples, TrainingSet
 from structures import Channel, MatrixModel
 from tests.benchmarks.adapted import real, trial
@@ -91,6 +92,43 @@ def test_an_estimate_of_a_static_load_is_kept_with_its_posterior(tmp_path):
     found.save(tmp_path / "load.h5")
     again = loadid.LoadEstimate.read(tmp_path / "load.h5")
     assert again.functional([1.0, 1.0, 1.0, 1.0]).std == found.functional([1.0, 1.0, 1.0, 1.0]).std
+
+
+def test_impulses_and_means_of_a_history_are_in_their_band(tmp_path):
+    """Errors go along from sample to sample: as if they were independent the bands held 45 to 85 %."""
+    y, x = records(60, 78)
+    found = [history_map().estimate(Record(one, DT, chain().sensors)) for one in y]
+    time = DT * np.arange(SAMPLES)
+    for window in ((0.0, 2.0), (0.5, 1.5), (1.0, 1.1), (0.0, 0.1)):
+        inside = (time >= window[0] - 1e-9) & (time <= window[1] + 1e-9)
+        told = [e.functional("impulse", window=window) for e in found]
+        off = [one.value - DT * truth[inside, 0].sum() for one, truth in zip(told, x, strict=True)]
+        held = np.mean([abs(a) <= 1.96 * one.std for a, one in zip(off, told, strict=True)])
+        assert held >= 0.88, window
+    mean, std = found[0].functional("mean"), np.sqrt(np.mean(found[0].std ** 2))
+    assert 1.5 * std / np.sqrt(SAMPLES) < mean.std < std
+    np.testing.assert_allclose(found[0].posterior.std, found[0].std)
+    found[0].save(tmp_path / "load.h5")
+    assert loadid.LoadEstimate.read(tmp_path / "load.h5").functional("mean").std == pytest.approx(mean.std, rel=1e-6)
+
+
+def test_the_correlation_over_time_is_that_of_the_errors():
+    """Of two outputs that follow each other by three samples; the variance of a sum is that of its draws."""
+    rng = np.random.default_rng(2)
+
+    def drawn(n):
+        noise = rng.standard_normal((n, 64, 2))
+        first = noise[..., 0] + 0.8 * np.roll(noise[..., 0], 1, axis=1)
+        second = np.roll(first, 3, axis=1) + 0.5 * noise[..., 1]
+        return np.stack([first / np.std(first), second / np.std(second)], axis=2)
+
+    along = over_time(drawn(400))
+    assert np.argmax(along[:, 0, 1]) == 3
+    assert along[1, 0, 0] == pytest.approx(0.8 / 1.64, abs=0.05)
+    own, w = 1 + rng.random((64, 2)), rng.standard_normal((3, 64, 2)) + 1.0
+    posterior = HistoryPosterior(along, own, np.zeros((64, 0, 2)))
+    want = np.var(np.einsum("wso,kso->kw", w, own * drawn(4000)), axis=0)
+    np.testing.assert_allclose(posterior.variance(w), want, rtol=0.15)
 
 
 # -- readings that it does not know ------------------------------------------------------------------------------------
