@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -217,6 +218,58 @@ def test_presses_drawn_for_another_pad_or_for_other_markers_are_refused(drawn: T
 def gel(E: float = 147e3, nu: float = 0.45) -> Pad:
     """The pad of another gel."""
     return Pad(size=(10e-3, 9e-3), thickness=2e-3, E=E, nu=nu, elements=(10, 9), layers=2, allow=("W115",))
+
+
+SKIN = """set = "presses"
+draws = 100
+seed = 3
+workers = 1
+[sensor]
+pad = "pad.toml"
+rows = 7
+columns = 8
+pitch = "1 mm"
+[[declaration.indenter]]
+kind = "sphere"
+radius = ["2 mm", "4 mm"]
+[declaration.contact]
+x = ["-1 mm", "1 mm"]
+y = ["-1 mm", "1 mm"]
+depth = ["0.05 mm", "0.1 mm"]
+[map]
+engine = "linear"
+"""
+SKIN_PAD = """[pad]
+size = ["10 mm", "9 mm"]
+thickness = "2 mm"
+E = "0.147 MPa"
+nu = 0.45
+pitch = "1 mm"
+layers = 2
+allow = ["W115"]
+[markers]
+noise = "2 um"
+"""
+
+
+@pytest.mark.skipif(not entry_points(group="loadid.generators"), reason="installed before generators were registered")
+def test_a_job_of_a_gel_pad_is_drawn_and_learned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From one file to the map that the sensor of the same pad file reads."""
+    (tmp_path / "skin.toml").write_text(SKIN, "utf-8")
+    (tmp_path / "pad.toml").write_text(SKIN_PAD, "utf-8")
+    job, kept = str(tmp_path / "skin.toml"), str(tmp_path / "map.h5")
+    assert main(["learn", "generate", job]) == 0
+    assert main(["learn", "fit", job, "-o", kept]) == 0
+    assert "linear map of 100 draws" in capsys.readouterr().out
+    training = TrainingSet.open(tmp_path / "presses")
+    of = MultilayerPad(Pad.from_toml(tmp_path / "pad.toml"), Markers(training.places, 2e-6), choice=0.01)
+    one, seen = LearnedSensor.read(kept, of), training.read(slice(0, 10))
+    off = [away(one.explained(y), load) for y, load in zip(seen.data, seen.loads, strict=True)]
+    assert np.median(off) < 0.7
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(SKIN + 'output = "resultant"\n', "utf-8")
+    assert main(["learn", "fit", str(wrong), "-o", str(tmp_path / "x.h5")]) == 3
+    assert "engine, seed" in capsys.readouterr().err
 
 
 def test_markers_found_in_another_order_leave_the_same_residual(learned: LearnedSensor, tmp_path: Path) -> None:
