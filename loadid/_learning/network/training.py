@@ -27,7 +27,6 @@ from .graph import Graph
 Array = NDArray[Any]
 Progress = Callable[[int, int], None]
 KIND = "training of a network"
-SUMS = 0.3  # how much the error of the sum of a map counts beside those of its nodes, if they erred independently
 WIDEST = 8.0  # of the logarithm of a std, either way
 _LOG = logging.getLogger(__name__)
 
@@ -204,11 +203,7 @@ class _Run:
         off = (y - mean) ** 2
         likely = spread + 0.5 * off.detach() * (-2 * spread).exp()
         axes = tuple(range(1, off.ndim))
-        together = 0.0
-        if y.ndim == 4:  # a map: its sums count too
-            sums = (y - mean).sum(dim=(2, 3)) ** 2 / (y.shape[2] * y.shape[3])
-            together = SUMS * (w * sums.mean(dim=1)).mean()
-        return (w * off.mean(dim=axes)).mean() + together + 0.1 * likely.mean()
+        return (w * off.mean(dim=axes)).mean() + 0.1 * likely.mean()
 
 
 def carried(library: Any, graph: Graph, weights: Mapping[str, Any], x: Any) -> Any:
