@@ -23,7 +23,10 @@ from tactile import LearnedSensor, MultilayerPad, Tolerances, Wrench
 from tactile.generate import presses
 
 RANGE, RATIOS = (0.75, 1.25), (0.38, 0.41, 0.44, 0.47, 0.49)
-KNOWN_TO = {"E 12 %, nu .03": Tolerances(E=0.12, nu=0.03), "E 14 %, nu .04": Tolerances(E=0.144, nu=0.04)}
+KNOWN_TO = {
+    "E 12 %, nu .03": Tolerances(E=0.12, nu=0.03), "E 14 %, nu .04": Tolerances(E=0.144, nu=0.04),
+    "E 20 %, nu .05": Tolerances(E=0.2, nu=0.05),
+}  # fmt: skip
 TESTED, HELD, FEW = 100, 50, (3, 5, 10)
 
 
