@@ -7,7 +7,8 @@ the lattice counts in sixths of the thickness.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,9 @@ from .gaussian import GaussianProblem
 MODES = 16  # of the pressure in a disc
 FEW = 1e-4  # of the strongest variance, below which a mode is none
 EVEN = 1.0  # variance of an even pressure in a disc, over that of the prior
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # components of a covariance
+OWN = 0.1  # of the pressure: std of shear that does not go with it
+ROUNDING = 1e-13  # of the largest variance, that any direction has at least
 STEP = 1 / 6  # thicknesses between the middles of discs
 SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
 FAINT, ALIKE = 1e-9, 1e-13  # of the largest square, below which a direction of one disc, of some, is none
@@ -47,6 +51,60 @@ class DiscWindow:
     basis: Array
     made: Array
     finer: Array
+    _cuts: dict[int, DiscWindow] = field(default_factory=dict)
+    _last: list[tuple[Array, Array]] = field(default_factory=list)
+
+    @cached_property
+    def strength(self) -> Array:
+        """Square of every direction, over that of the first (r,), largest first."""
+        return np.asarray(np.max(self.made**2, axis=(0, 1, 2)) / np.max(self.made[..., 0] ** 2))
+
+    def above(self, faint: float) -> DiscWindow:
+        """The same by its directions of such a strength alone."""
+        r = int(np.sum(self.strength > faint))
+        if r not in self._cuts:
+            self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={}, _last=[])
+        return self._cuts[r]
+
+    @cached_property
+    def products(self) -> Array:
+        """Covariance (6, r, r) of the readings along the directions, by components x, y, z of the load and their pairs.
+
+        Those of a pair hold both ways.
+        """
+        r = self.made.shape[-1]
+        by = self.made.transpose(1, 0, 2, 3).reshape(3, -1, r)
+        out = np.array([by[a].T @ by[b] for a, b in PAIRS])
+        out[3:] += out[3:].transpose(0, 2, 1)
+        return out
+
+    def factor(self, at: Array) -> Array:
+        """Cholesky factor (r, r) of the covariance of the readings along the directions, at size and ratios (3,)."""
+        for before, found in self._last:  # of the disc that stays where others are tried
+            if np.array_equal(before, at):
+                return found
+        size, u, v = at.tolist()
+        own = self._mixed(size, [u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
+        own.flat[:: len(own) + 1] += ROUNDING * np.max(np.diag(own))
+        found = cholesky(own)
+        self._last[:] = [(at.copy(), found)]
+        return found
+
+    def slopes(self, at: Array, f: Array) -> Array:
+        """Derivatives (3, r, r) of that covariance by size and ratios, over its factor f on both sides."""
+        size, u, v = at.tolist()
+        by = self._mixed(size, [2 * u, 0.0, 0.0, v, 1.0, 0.0]), self._mixed(size, [0.0, 2 * v, 0.0, u, 0.0, 1.0])
+        return np.array([2 * np.eye(len(f)), *_over(f, *by)])
+
+    def second(self, at: Array, f: Array, M: Array) -> Array:
+        """Second derivatives (3, 3, r, r) of the same, by the first, M (3, r, r)."""
+        uu, vv, uv = _over(f, *(np.exp(2 * at[0]) * self.products[[0, 1, 3]]))
+        return np.array([2 * M, [2 * M[1], 2 * uu, uv], [2 * M[2], uv, 2 * vv]])
+
+    def _mixed(self, size: float, parts: list[float]) -> Array:
+        """Sum of the products, each times its part."""
+        r = self.products.shape[1]
+        return np.asarray((np.exp(2 * size) * np.array(parts) @ self.products.reshape(len(PAIRS), -1)).reshape(r, r))
 
     @property
     def columns(self) -> Array:
@@ -143,6 +201,33 @@ class DiscWindows:
             keep(self._products, (one, other), found, PRODUCTS)
             keep(self._products, (other, one), found.T, PRODUCTS)
         return found
+
+
+def shares(size: float, u: float, v: float) -> Array:
+    """T T' (3, 3) of a disc."""
+    return np.asarray(np.exp(2 * size) * (np.outer((u, v, 1.0), (u, v, 1.0)) + OWN**2 * np.diag((1.0, 1.0, 0.0))))
+
+
+def cholesky(S: Array) -> Array:
+    """Lower factor of a matrix that is certain to have one."""
+    return np.asarray(lapack.dpotrf(S, lower=1, clean=1)[0]) if len(S) else S
+
+
+def solved(factor: Array, b: Array) -> Array:
+    """``S^-1 b`` by the Cholesky factor of S."""
+    return np.asarray(lapack.dpotrs(factor, b, lower=1)[0]) if len(factor) else b
+
+
+def lower(f: Array, b: Array) -> Array:
+    """``f^-1 b`` of a lower factor."""
+    return np.asarray(lapack.dtrtrs(f, b, lower=1)[0])
+
+
+def _over(f: Array, *parts: Array) -> Array:
+    """``f^-1 S f^-T`` of every symmetric S (r, r)."""
+    r = len(f)
+    half = lower(f, np.hstack(parts)).reshape(r, -1, r).transpose(2, 1, 0).reshape(r, -1)
+    return lower(f, half).reshape(r, -1, r).transpose(1, 0, 2)
 
 
 def pivoted(G: Array, cut: float = ALIKE) -> tuple[Index, Array]:

@@ -7,34 +7,28 @@ between modes, so that readings over their noise have the covariance
     S = 1 + sum_j sum_ab (T T')_ab K_ab,   log p(y) = -(y' S^-1 y + log|S|) / 2,
 
 linear in six numbers of every disc (D. J. C. MacKay, Neural Comput. 4 (1992) 415; C. E. Rasmussen & C. K. I. Williams,
-Gaussian Processes for Machine Learning, MIT Press 2006, ch. 5). K_ab are kept in the few directions that the discs, the
-error of the mesh and motion of the image span, in which evidence, its slope and its curvature cost next to nothing.
+Gaussian Processes for Machine Learning, MIT Press 2006, ch. 5). K_ab of a disc are kept in the few directions that it
+spans with the error of the mesh there, once; what several discs tell is made of theirs and of the products between.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag, lapack, solve_triangular
+from scipy.linalg import lapack, solve_triangular
 
 from .._arrays import Array
-from .discs import Disc, DiscWindow, DiscWindows, pivoted
+from .discs import Disc, DiscWindows, cholesky, lower, shares, solved
 from .inversion import Inverse
 
-OWN = 0.1  # of the pressure: std of shear that does not go with it
 SIZES = np.geomspace(1e2, 1e8, 19)  # Pa, between which sizes are
 STEEPEST = 3.0  # ratio
 TURNS, ENOUGH = 8, 1e-4  # steps to sizes and ratios, until one brings less evidence
 SHORTER = 4  # times a step is quartered
 LARGEST_STEP = 2.0  # of log size, or of a ratio
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # components of a covariance
-
-
-def shares(size: float, u: float, v: float) -> Array:
-    """T T' (3, 3) of a disc."""
-    return np.asarray(np.exp(2 * size) * (np.outer((u, v, 1.0), (u, v, 1.0)) + OWN**2 * np.diag((1.0, 1.0, 0.0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,35 +42,37 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Local:
-    """Evidence at one place: value, slope (3 J,) and curvature (3 J, 3 J), the last two where they are asked for."""
+    """Evidence at one place: its value, and what slope and curvature are made of.
 
+    `F` (parts) are the factors of the covariance along the directions of each part, `inner` the Cholesky factor of
+    ``1 + F' B' B F``, and `beta` what this has of the readings.
+    """
+
+    at: Array
     value: float
-    slope: Array
-    curved: Array
+    F: list[Array]
+    inner: Array
+    beta: Array
 
 
 class DiscModel:
-    """Readings of loads in some discs, and of motion of the image."""
+    """Readings of loads in some discs, and of motion of the image.
 
-    def __init__(self, windows: DiscWindows, discs: tuple[Disc, ...]) -> None:
+    Each of these parts has readings in directions of its own, B_j, and their covariance there is ``F_j F_j'`` at given
+    sizes and ratios: with B and F of all parts side by side, ``S = 1 + B F F' B'``, and all of it is told by the
+    `inner` matrix ``1 + F' B' B F``. Directions of less than `faint` of the strongest variance of a disc are left out.
+    """
+
+    def __init__(self, windows: DiscWindows, discs: tuple[Disc, ...], faint: float = 0.0) -> None:
         self.discs, self.shear, parts = discs, windows.shear, (*discs, None)
-        self.windows: list[DiscWindow] = [windows.window(d) for d in discs]
-        self.bases = [windows.basis(d) for d in parts]
-        gram = np.block([[windows.cross(one, other) for other in parts] for one in parts])
-        self.own, self.on = pivoted(gram)
-        r, ends = self.on.shape[1], np.cumsum([0, *(b.shape[1] for b in self.bases)])
-        coordinates = np.split(self.on, ends[1:-1])
-        self.X = [w.made @ on for w, on in zip(self.windows, coordinates, strict=False)]  # (parts, 3, q, r)
-        K = np.empty((len(discs), len(PAIRS), r, r))
-        for X, own in zip(self.X, K, strict=True):
-            by = X.transpose(1, 0, 2, 3).reshape(3, -1, r)
-            for k, (a, b) in enumerate(PAIRS):
-                np.matmul(by[a].T, by[b], out=own[k])
-                if a != b:
-                    own[k] += own[k].T.copy()
-        self.K = K.reshape(len(discs) * len(PAIRS), r * r)
-        moved = coordinates[-1].T @ windows.image[1]
-        self.rest = np.eye(r) + moved @ moved.T
+        self.windows = [windows.window(d).above(faint) for d in discs]
+        self.image = windows.image[1]
+        self.bases = [*(w.basis for w in self.windows), windows.image[0]]
+        counts = [b.shape[1] for b in self.bases]
+        self.cross = [[windows.cross(one, other)[:r, :q] for other, q in zip(parts[:i], counts, strict=False)]
+                      for i, (one, r) in enumerate(zip(parts, counts, strict=True))]  # fmt: skip
+        ends = np.cumsum([0, *counts])
+        self.slices = [slice(*ends[j : j + 2]) for j in range(len(parts))]
 
     @property
     def modes(self) -> list[int]:
@@ -85,83 +81,74 @@ class DiscModel:
 
     # -- readings -----------------------------------------------------------------------------------------------------
     def told(self, z: Array) -> Array:
-        """Readings (m,) or (m, k) along the directions that are used (r, ...)."""
-        b = np.concatenate([basis.T @ z for basis in self.bases])[self.own]
-        return np.asarray(solve_triangular(self.on[self.own], b, lower=True, check_finite=False))
+        """Readings (m,) or (m, k) along the directions of all parts."""
+        return np.concatenate([basis.T @ z for basis in self.bases])
 
     def left(self, z: Array, at: Array) -> Array:
         """What loads in the discs and the image do not explain of readings (m,)."""
-        told = self.told(z)
-        explained = np.zeros(len(self.on))
-        explained[self.own] = solve_triangular(self.on[self.own], told - self._solve(self._factor(at), told),
-                                               lower=True, trans="T", check_finite=False)  # fmt: skip
-        out, k = z.copy(), 0
-        for basis in self.bases:
-            out -= basis @ explained[k : k + basis.shape[1]]
-            k += basis.shape[1]
+        here, out = self.evidence(float(z @ z), self.told(z), at), z.copy()
+        for basis, f, s in zip(self.bases, here.F, self.slices, strict=True):
+            out -= basis @ (f @ here.beta[s])
         return out
-
-    # -- evidence -----------------------------------------------------------------------------------------------------
-    def _coefficients(self, at: Array, order: int = 0) -> tuple[Array, Array, Array]:
-        """Six numbers of every disc (6 J,), and up to an order their derivatives (3 J, 6 J) and (3 J, 3 J, 6 J)."""
-        J = len(self.discs)
-        c, d, h = np.zeros((J, 6)), np.zeros((J, 3, J, 6)), np.zeros((J, 3, J, 3, J, 6))
-        for j, (size, u, v) in enumerate(at.reshape(-1, 3)):
-            e = np.exp(2 * size)
-            c[j] = e * np.array([u * u + OWN**2, v * v + OWN**2, 1.0, u * v, u, v])
-            if order:
-                d[j, :, j] = 2 * c[j], e * np.array([2 * u, 0, 0, v, 1, 0]), e * np.array([0, 2 * v, 0, u, 0, 1])
-            if order > 1:
-                h[j, 0, j, :, j] = 2 * d[j, :, j]
-                h[j, :, j, 0, j] = 2 * d[j, :, j]
-                h[j, 1, j, 1, j, 0] = h[j, 2, j, 2, j, 1] = 2 * e
-                h[j, 1, j, 2, j, 3] = h[j, 2, j, 1, j, 3] = e
-        return c.ravel(), d.reshape(3 * J, 6 * J), h.reshape(3 * J, 3 * J, 6 * J)
-
-    def _covariance(self, c: Array) -> Array:
-        r = len(self.rest)
-        return self.rest + (c @ self.K).reshape(r, r)
-
-    def _factor(self, at: Array) -> Array:
-        return _cholesky(self._covariance(self._coefficients(at)[0]))
-
-    @staticmethod
-    def _solve(factor: Array, b: Array) -> Array:
-        return np.asarray(lapack.dpotrs(factor, b, lower=1)[0]) if len(factor) else b
-
-    def evidence(self, square: float, told: Array, at: Array, order: int = 0) -> Local:
-        """At sizes and ratios (3 J,), of readings with the sum of `square`, `told` along the directions.
-
-        `order` is 0 for the value alone, 1 with its slope and the average of observed and expected curvature, which
-        costs nothing more, 2 with its curvature itself.
-        """
-        r, J = len(self.rest), len(self.discs)
-        c, d, h = self._coefficients(at, order)
-        factor = _cholesky(self._covariance(c))
-        alpha = self._solve(factor, told)
-        ratios = np.zeros((J, 3))
-        ratios[:, 1:] = at.reshape(-1, 3)[:, 1:] / self.shear
-        value = -0.5 * (square - told @ told + told @ alpha) - np.sum(np.log(np.diag(factor)))
-        value -= 0.5 * float(np.sum(ratios**2))
-        if not order:
-            return Local(float(value), np.empty(0), np.empty((0, 0)))
-        inverse = lapack.dpotri(factor, lower=1)[0]
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        on = (self.K.reshape(-1, r) @ alpha).reshape(6 * J, r)
-        by = 0.5 * (on @ alpha - self.K @ inverse.ravel())
-        slope = d @ by - ratios.ravel() / self.shear
-        on, own = d @ on, np.diag(np.tile([0.0, 1.0, 1.0], J) / self.shear**2)
-        told_by = on @ inverse @ on.T
-        if order == 1:
-            return Local(float(value), slope, -0.5 * told_by - own)
-        turned = inverse @ (d @ self.K).reshape(3 * J, r, r)
-        crossed = np.einsum("iab,jba->ij", turned, turned, optimize=True)
-        return Local(float(value), slope, 0.5 * crossed - told_by + h @ by - own)
 
     def unlike(self, z: Array, at: Array) -> float:
         """Sum of the squares of readings (m,) over the covariance that they should have: m where the model is right."""
-        told = self.told(z)
-        return float(z @ z - told @ told + told @ self._solve(self._factor(at), told))
+        square, told = float(z @ z), self.told(z)
+        here = self.evidence(square, told, at)
+        return square - float(self._along(here.F, told) @ here.beta)
+
+    # -- evidence -----------------------------------------------------------------------------------------------------
+    def _factors(self, at: Array) -> tuple[list[Array], Array]:
+        """F_j of every disc at sizes and ratios (3 J,), and of the image; and the Cholesky factor of what they make."""
+        F = [w.factor(one) for w, one in zip(self.windows, at.reshape(-1, 3), strict=True)] + [self.image]
+        inner = np.eye(self.slices[-1].stop)
+        for i, (f, rows) in enumerate(zip(F, self.slices, strict=True)):
+            for j, other in enumerate(F[:i]):
+                inner[rows, self.slices[j]] = f.T @ (self.cross[i][j] @ other)
+            inner[rows, rows] += f.T @ f
+        return F, cholesky(inner)
+
+    def _along(self, F: list[Array], told: Array) -> Array:
+        """F' of what is told along the directions (r, ...)."""
+        return np.concatenate([f.T @ told[s] for f, s in zip(F, self.slices, strict=True)])
+
+    def evidence(self, square: float, told: Array, at: Array) -> Local:
+        """At sizes and ratios (3 J,), of readings with the sum of `square`, `told` along the directions."""
+        at = at.ravel()
+        F, inner = self._factors(at)
+        along = self._along(F, told)
+        beta = solved(inner, along)
+        value = -0.5 * (square - along @ beta) - np.sum(np.log(np.diag(inner)))
+        return Local(at, float(value - 0.5 * np.sum((at * self._shears) ** 2)), F, inner, beta)
+
+    @cached_property
+    def _shears(self) -> Array:
+        """One over the std of sizes and ratios (3 J,) before any reading."""
+        return np.tile([0.0, 1.0, 1.0], len(self.discs)) / self.shear
+
+    def curved(self, here: Local, exactly: bool = False) -> tuple[Array, Array]:
+        """Slope (3 J,) and curvature (3 J, 3 J) of evidence.
+
+        The curvature is the average of observed and expected, which costs nothing more than the slope, or `exactly`.
+        """
+        J, beta = len(self.discs), here.beta
+        W = _explained(here.inner)
+        places = list(zip(here.at.reshape(-1, 3), self.windows, here.F, self.slices, strict=False))
+        made = [w.slopes(one, f) for one, w, f, _ in places]
+        slope, by = np.zeros((J, 3)), np.zeros((3 * J, len(beta)))
+        for j, (M, s) in enumerate(zip(made, self.slices, strict=False)):
+            by[3 * j : 3 * j + 3, s] = M @ beta[s]
+            slope[j] = 0.5 * (by[3 * j : 3 * j + 3, s] @ beta[s] - M.reshape(3, -1) @ W[s, s].ravel())
+        told, own = by @ W @ by.T, np.diag(self._shears**2)
+        if not exactly:
+            return slope.ravel() - self._shears**2 * here.at, -0.5 * told - own
+        more = np.zeros((J, 3, J, 3))
+        for j, ((one, w, f, s), M) in enumerate(zip(places, made, strict=True)):
+            second = w.second(one, f, M)
+            more[j, :, j] = 0.5 * (second @ beta[s] @ beta[s] - np.sum(second * W[s, s], axis=(2, 3)))
+            for i, (other, t) in enumerate(zip(made, self.slices, strict=False)):
+                more[j, :, i] += 0.5 * np.einsum("aij,bji->ab", M @ W[s, t], other @ W[t, s], optimize=True)
+        return slope.ravel() - self._shears**2 * here.at, more.reshape(3 * J, 3 * J) - told - own
 
     def fitted(self, z: Array, start: Array, least: float = -np.inf, turns: int = TURNS) -> Fitted:
         """Sizes and ratios of the largest evidence, from a start (J, 3) where they are at least so likely.
@@ -170,52 +157,45 @@ class DiscModel:
         1440), steps shortened until the evidence grows.
         """
         low, high = self._bounds
-        square, told, at = float(z @ z), self.told(z), np.clip(start.ravel(), low, high)
-        value = self.evidence(square, told, at).value
-        for _ in range(turns if value >= least and len(at) else 0):
-            here = self.evidence(square, told, at, order=1)
-            value = here.value
-            w, V = np.linalg.eigh(here.curved)
-            step = V @ ((V.T @ here.slope) / np.maximum(np.abs(w), ENOUGH))
-            step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max(initial=0.0)), LARGEST_STEP))
-            grown = value
+        square, told = float(z @ z), self.told(z)
+        here = self.evidence(square, told, np.clip(start.ravel(), low, high))
+        for _ in range(turns if here.value >= least and self.discs else 0):
+            slope, curved = self.curved(here)
+            w, V = np.linalg.eigh(curved)
+            step = V @ ((V.T @ slope) / np.maximum(np.abs(w), ENOUGH))
+            step *= min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), LARGEST_STEP))
+            before = here
             for _ in range(SHORTER):
-                to = np.clip(at + step, low, high)
-                grown = self.evidence(square, told, to).value
-                if grown > value:
+                tried = self.evidence(square, told, np.clip(before.at + step, low, high))
+                if tried.value > before.value:
+                    here = tried
                     break
                 step = step / 4
-            if grown > value:
-                at = to
-            if not grown > value + ENOUGH:
-                value = max(value, grown)
+            if not here.value > before.value + ENOUGH:
                 break
-            value = grown
-        return Fitted(self.discs, at.reshape(-1, 3), value)
+        return Fitted(self.discs, here.at.reshape(-1, 3), here.value)
 
     # -- loads --------------------------------------------------------------------------------------------------------
-    def mean(self, told: Array, at: Array) -> list[Array]:
-        """Modes (3, q) of every disc that are found at sizes and ratios."""
-        alpha = self._solve(self._factor(at), told)
-        return [made @ alpha for made in self._made(at)]
+    def posterior(self, here: Local, changes: Callable[[Array], Array] | None = None) -> tuple[Array, Array]:
+        """Mean (J * 3 * q,) and covariance of the modes, where the evidence has been asked.
 
-    def _made(self, at: Array) -> list[Array]:
-        """What modes (3, q, r) of every disc have in common with readings along the directions."""
-        return [np.tensordot(shares(*one), X[0], 1) for one, X in zip(at.reshape(-1, 3), self.X, strict=True)]
-
-    def posterior(self, z: Array, at: Array, changes: Array) -> tuple[Array, Array]:
-        """Mean (J * 3 * q,) and covariance of the modes, by readings (m,), with errors (m, t) of std one beside them.
-
-        One frame does not tell the errors: what a load would make good of them is in the covariance, whole.
+        `changes` are the readings (m, t) that errors of std one bring beside such modes. One frame does not tell the
+        errors: what a load would make good of them is in the covariance, whole.
         """
-        made = np.vstack([one.reshape(-1, len(self.rest)) for one in self._made(at)])
-        factor, told = self._factor(at), self.told(z)
-        prior = block_diag(*(np.kron(shares(*one), np.eye(X.shape[2])) for one, X in
-                             zip(at.reshape(-1, 3), self.X, strict=True)))  # fmt: skip
-        alpha = self._solve(factor, told)
-        covariance = prior - made @ self._solve(factor, made.T)
-        felt = made @ self._solve(factor, self.told(changes))
-        return made @ alpha, covariance + felt @ felt.T
+        ends = np.cumsum([0, *self.modes])
+        made, covariance = np.zeros((len(here.inner), ends[-1])), np.zeros((ends[-1],) * 2)
+        for j, (one, w, f) in enumerate(zip(here.at.reshape(-1, 3), self.windows, here.F, strict=False)):
+            own, T, each = slice(*ends[j : j + 2]), shares(*one), np.arange(w.modes.shape[1])
+            prior = np.zeros((3, len(each), 3, len(each)))
+            prior[:, each, :, each] = T
+            covariance[own, own] = prior.reshape(3 * len(each), -1)
+            made[self.slices[j], own] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T)
+        mean, reach = made.T @ here.beta, lower(here.inner, made)
+        covariance += reach.T @ reach - made.T @ made
+        if changes is None:
+            return mean, covariance
+        felt = reach.T @ lower(here.inner, self._along(here.F, self.told(changes(mean))))
+        return mean, covariance + felt @ felt.T
 
     @cached_property
     def _bounds(self) -> tuple[Array, Array]:
@@ -224,8 +204,14 @@ class DiscModel:
         return low, np.tile([np.log(SIZES[-1]), STEEPEST, STEEPEST], J)
 
 
-def _cholesky(S: Array) -> Array:
-    return np.asarray(lapack.dpotrf(S, lower=1, clean=1)[0]) if len(S) else S
+def _explained(factor: Array) -> Array:
+    """What is no noise: 1 less the inverse of what has this Cholesky factor."""
+    if not len(factor):
+        return factor
+    inverse = lapack.dpotri(factor, lower=1)[0]
+    out = -(inverse + inverse.T)
+    out.flat[:: len(out) + 1] = 1.0 - np.diag(inverse)
+    return np.asarray(out)
 
 
 @dataclass(frozen=True, eq=False)

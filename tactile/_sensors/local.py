@@ -21,8 +21,8 @@ from scipy.special import ndtr
 from structures._threads import one_thread
 
 from .._arrays import Array, Index, Mask
-from .discs import keep
-from .evidence import DiscModel, Fitted, shares
+from .discs import keep, shares
+from .evidence import DiscModel, Fitted, Local
 from .gaussian import around
 from .inversion import Answer, Pressed, RegionSolver
 from .search import ContactSearch, score
@@ -38,7 +38,7 @@ INNER = (
 )
 OPEN = 1.0  # the largest std of log size and ratios
 TRUSTED = 2.0  # log of what a normal law at the maximum may be wrong by, where it stands for the evidence
-NEGLIGIBLE = 1e-4  # weight
+NEGLIGIBLE = 1e-4  # weight of all that is left out
 PULLING = 1e-3  # chance of a contact that pulls
 ONE_SIDE, Z95, HALVINGS = 0.975, 1.96, 30  # of a normal law; steps to where a force is so likely to lie
 
@@ -57,6 +57,25 @@ class LocalLoad:
     best: Fitted
     rest: float
     likely: tuple[tuple[float, Fitted], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Laid:
+    """Where modes lie: `nodes` (k,), `shapes` of every disc (k, q), and what each mode does to the resultant `felt`.
+
+    That is (6, modes); `axis` (modes,) is the direction of the load.
+    """
+
+    nodes: Index
+    shapes: list[Array]
+    felt: Array
+    axis: Index
+
+    def loads(self, modes: Array) -> Array:
+        """Loads (k, 3) of modes (modes,), those of each disc along x, y and z."""
+        ends = np.cumsum([3 * one.shape[1] for one in self.shapes])[:-1]
+        each = zip(self.shapes, np.split(modes, ends), strict=True)
+        return np.asarray(sum(one @ part.reshape(3, -1).T for one, part in each))
 
 
 @dataclass(eq=False)
@@ -111,31 +130,35 @@ class ContactFit(ContactSearch):
         Discs by their evidence; of each, places about its sizes and ratios by theirs (a spherical rule of third degree
         of the normal law at the maximum, I. Arasaratnam & S. Haykin, IEEE Trans. Autom. Control 54 (2009) 1254).
         """
-        log: list[float] = []
-        out: list[tuple[Array, Array, Array]] = []
+        asked = []
         for f in found:
-            laid = self._laid(self.model(f.discs))
-            for at, weight in self._about(z, f):
-                mean, variance, spread, pull = self._posterior(z, replace(f, at=at), laid)
-                log.append(score(f) + INNER * len(f.discs) + weight + pull)
-                out.append((mean, variance, spread))
-        weights = np.exp(np.array(log) - max(log))
-        weights = weights / weights.sum()
-        return [(float(w), a, b, c) for w, (a, b, c) in zip(weights, out, strict=True) if w > NEGLIGIBLE]
+            model = self.model(f.discs, z)
+            laid, worth = self._laid(model), score(f) + INNER * len(f.discs)
+            asked += [(worth + weight, here, model, laid) for here, weight in self._about(z, f, model)]
+        asked.sort(key=lambda one: -one[0])
+        behind = np.cumsum(np.exp([one[0] - asked[0][0] for one in asked[::-1]]))[::-1]  # at most, and all after it
+        most, out = 0.0, []
+        for (weight, here, model, laid), rest in zip(asked, behind, strict=True):
+            if rest < NEGLIGIBLE * most:
+                break
+            mean, variance, spread, pull = self._posterior(here, model, laid)
+            weight = float(np.exp(weight - asked[0][0] + pull))
+            most += weight
+            out.append((weight, mean, variance, spread))
+        return [(weight / most, a, b, c) for weight, a, b, c in out]
 
-    def _about(self, z: Array, f: Fitted) -> list[tuple[Array, float]]:
-        """Sizes and ratios (J, 3) about the likeliest of discs, and the log of what they weigh beside its evidence."""
-        model, at, square = self.model(f.discs), f.at.ravel(), float(z @ z)
+    def _about(self, z: Array, f: Fitted, model: DiscModel) -> list[tuple[Local, float]]:
+        """Sizes and ratios about the likeliest of discs, and the log of what they weigh beside its evidence."""
+        at, square = f.at.ravel(), float(z @ z)
         told, count = model.told(z), f.at.size
-        here = model.evidence(square, told, at, order=2)
-        w, V = np.linalg.eigh(-here.curved)
+        w, V = np.linalg.eigh(-model.curved(model.evidence(square, told, at), exactly=True)[1])
         w = np.maximum(w, 1.0 / OPEN**2)
         room = -float(np.sum(np.log(w))) / 2 - np.log(2 * count)
         out = []
         for step in np.sqrt(count) * (V / np.sqrt(w)).T:
-            for to in (at + step, at - step):
-                worth = model.evidence(square, told, to).value - f.evidence + count / 2
-                out.append((to.reshape(-1, 3), room + float(np.clip(worth, -TRUSTED, TRUSTED))))
+            for here in (model.evidence(square, told, at + step), model.evidence(square, told, at - step)):
+                worth = here.value - f.evidence + count / 2
+                out.append((here, room + float(np.clip(worth, -TRUSTED, TRUSTED))))
         return out
 
     @one_thread()
@@ -198,34 +221,38 @@ class ContactFit(ContactSearch):
     def _near(self) -> sparse.csr_array:
         return around(self.places, BESIDE * self.pitch)
 
-    def _laid(self, model: DiscModel) -> tuple[Index, Array]:
-        """Loads (k,) that discs hold, and what these are (k, modes) of their modes."""
+    def _laid(self, model: DiscModel) -> Laid:
+        """Where the modes of discs lie."""
         nodes = np.unique(np.concatenate([w.nodes for w in model.windows]))
-        back = []
+        shapes = []
         for w in model.windows:
             modes = np.zeros((len(nodes), w.modes.shape[1]))
             modes[np.searchsorted(nodes, w.nodes)] = w.modes
-            back += [np.kron(modes, axis[:, None]) for axis in np.eye(3)]
-        return (3 * nodes[:, None] + np.arange(3)).ravel(), np.hstack(back)
+            shapes.append(modes)
+        R = self.problem.resultant.reshape(6, -1, 3)[:, nodes]
+        felt = np.hstack([(R.transpose(0, 2, 1) @ modes).reshape(6, -1) for modes in shapes])
+        axis = np.concatenate([np.repeat(np.arange(3), modes.shape[1]) for modes in shapes])
+        return Laid(nodes, shapes, felt, axis)
 
-    def _posterior(
-        self, z: Array, f: Fitted, laid: tuple[Index, Array] | None = None
-    ) -> tuple[Array, Array, Array, float]:
+    def _posterior(self, here: Local, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
-        model, n = self.model(f.discs), self.problem.H.shape[1]
-        own, back = laid or self._laid(model)
-        mean, spread = model.posterior(z, f.at, np.empty((len(z), 0)))
-        if self.tolerances:  # of the load that is found without them
-            found = back @ mean
-            changes = np.column_stack([found @ change[own] for change in self.tolerances])
-            mean, spread = model.posterior(z, f.at, changes)
-        felt = self.problem.resultant[:, own] @ back
-        load, variance = np.zeros(n), np.zeros(n)
-        load[own] = back @ mean
-        variance[own] = np.maximum(np.einsum("ij,ij->i", back @ spread, back), 0.0)
-        for w, at in zip(model.windows, f.at, strict=True):
-            variance.reshape(-1, 3)[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
-        return load, variance, felt @ spread @ felt.T, _pressing(felt[2], mean, spread, model.modes)
+
+        def changes(mean: Array) -> Array:
+            found, columns = laid.loads(mean), 3 * laid.nodes[:, None] + np.arange(3)
+            return np.column_stack([found.ravel() @ change[columns.ravel()] for change in self.tolerances])
+
+        mean, spread = model.posterior(here, changes if self.tolerances else None)
+        load, variance = np.zeros((2, len(self.places), 3))
+        load[laid.nodes] = laid.loads(mean)
+        all_shapes = np.hstack(laid.shapes)
+        for a in range(3):
+            own = np.flatnonzero(laid.axis == a)
+            variance[laid.nodes, a] = np.einsum("ij,ij->i", all_shapes @ spread[np.ix_(own, own)], all_shapes)
+        variance = np.maximum(variance, 0.0)
+        for w, at in zip(model.windows, here.at.reshape(-1, 3), strict=True):
+            variance[w.nodes] += np.outer(w.finer, np.diag(shares(*at)))
+        pull = _pressing(laid.felt[2], mean, spread, model.modes)
+        return load.ravel(), variance.ravel(), laid.felt @ spread @ laid.felt.T, pull
 
 
 def _likely(found: list[Fitted]) -> tuple[tuple[float, Fitted], ...]:

@@ -6,21 +6,21 @@ are known, or one of them is split, as long as the readings ask for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from .._arrays import Array
-from .discs import GROWING, SMALLEST, STEP, Disc, DiscWindows, keep
+from .discs import GROWING, SMALLEST, STEP, Disc, DiscWindows
 from .evidence import SIZES, DiscModel, Fitted
 
 COARSE = 3  # steps between discs of the first look
 LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
 MOST = 3  # contacts
-MODELS = 128  # of discs, that are kept
+UNSEEN = 1e-3  # of the variance of noise, which a direction has at most that is left out
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
-QUICK = 3  # steps to sizes and ratios where discs are compared
+QUICK = 2  # steps to sizes and ratios where discs are compared
 NEARLY = 2.0  # of log evidence, that better sizes and ratios may bring
 SETTLED = 2  # starts that are followed
 HOPEFUL, BEHIND = 2.0, 40.0  # of log evidence: what one more contact must bring where it starts, a split may cost there
@@ -35,15 +35,9 @@ NOTHING = np.empty((0, 3))  # sizes and ratios of no disc
 class ContactSearch(DiscWindows):
     """Finds the contacts of a frame."""
 
-    _models: dict[tuple[Disc, ...], DiscModel] = field(default_factory=dict, init=False)
-
-    def model(self, discs: tuple[Disc, ...]) -> DiscModel:
-        """What readings tell of some discs, made once."""
-        found = self._models.get(discs)
-        if found is None:
-            found = DiscModel(self, discs)
-            keep(self._models, discs, found, MODELS)
-        return found
+    def model(self, discs: tuple[Disc, ...], z: Array | None = None) -> DiscModel:
+        """What readings tell of some discs, by the directions that readings z (m,) of such a size can show."""
+        return DiscModel(self, discs, 0.0 if z is None else UNSEEN / max(float(z @ z), 1.0))
 
     # -- search -------------------------------------------------------------------------------------------------------
     @cached_property
@@ -98,7 +92,7 @@ class ContactSearch(DiscWindows):
     def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
         """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
         discs = self._looks[0]
-        gain = self._gains(self.model(known.discs).left(z, known.at))[0]
+        gain = self._gains(self.model(known.discs, z).left(z, known.at))[0]
         best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
         out: list[tuple[Disc, float]] = []
         for k in np.argsort(-best):
@@ -113,7 +107,7 @@ class ContactSearch(DiscWindows):
 
         def at(discs: tuple[Disc, ...]) -> Fitted:
             if discs not in seen:
-                seen[discs] = self.model(discs).fitted(z, found.at, found.evidence - NEARLY, QUICK)
+                seen[discs] = self.model(discs, z).fitted(z, found.at, found.evidence - NEARLY, QUICK)
             return seen[discs]
 
         for step in (2, 1):
@@ -130,12 +124,12 @@ class ContactSearch(DiscWindows):
                             found = tried
                 if found is before:
                     break
-        seen[found.discs] = found = self.model(found.discs).fitted(z, found.at)
+        seen[found.discs] = found = self.model(found.discs, z).fitted(z, found.at)
         return found
 
     def contacts(self, z: Array) -> list[Fitted]:
         """Contacts of whitened readings (m,), and others of nearly their evidence; none where nothing is found."""
-        known = self.model(()).fitted(z, NOTHING)
+        known = self.model((), z).fitted(z, NOTHING)
         best: list[Fitted] = []
         while len(known.discs) < MOST:
             seen: dict[tuple[Disc, ...], Fitted] = {}
@@ -157,7 +151,7 @@ class ContactSearch(DiscWindows):
 
     def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
         """Known contacts and one that explains most of what they leave."""
-        return [self.model((*known.discs, disc)).fitted(z, np.vstack([known.at, [size, 0.0, 0.0]]))
+        return [self.model((*known.discs, disc), z).fitted(z, np.vstack([known.at, [size, 0.0, 0.0]]))
                 for disc, size in self.look(z, known)[: 1 if known.discs else LOOKS]]  # fmt: skip
 
     def _split(self, z: Array, known: Fitted) -> list[Fitted]:
@@ -172,7 +166,7 @@ class ContactSearch(DiscWindows):
                 if all(map(self.allowed, pair)):
                     discs = (*known.discs[:j], *known.discs[j + 1 :], *pair)
                     start = np.vstack([np.delete(known.at, j, axis=0), known.at[j], known.at[j]])
-                    out.append(self.model(discs).fitted(z, start))
+                    out.append(self.model(discs, z).fitted(z, start))
         return out
 
 

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 from case_studies.bodies import Patch, surfaces
 from structures._threads import threads
 from tactile import Markers, MultilayerPad, Pad, Tolerances
-from tactile._sensors.discs import Disc
-from tactile._sensors.evidence import OWN, Fitted
+from tactile._sensors.discs import OWN, Disc
+from tactile._sensors.evidence import Fitted
 from tactile._sensors.local import ContactFit, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
@@ -59,20 +59,23 @@ def test_the_evidence_is_that_of_a_dense_covariance() -> None:
     ratios = at.reshape(2, 3)[:, 1:]
     model, square = f.model(discs), float(z @ z)
     told = model.told(z)
-    here = model.evidence(square, told, at, order=2)
+    here = model.evidence(square, told, at)
+    slope, curved = model.curved(here, exactly=True)
     assert np.isclose(here.value, dense - 0.5 * np.sum(ratios**2) / 0.35**2, rtol=1e-9)
     for k, step in enumerate(1e-4 * np.eye(6)):
-        up, down = (model.evidence(square, told, at + sign * step, order=1) for sign in (1, -1))
-        assert np.isclose(here.slope[k], (up.value - down.value) / 2e-4, rtol=1e-4, atol=1e-4)
-        assert np.allclose(here.curved[k], (up.slope - down.slope) / 2e-4, rtol=1e-4, atol=1e-4)
+        up, down = (model.evidence(square, told, at + sign * step) for sign in (1, -1))
+        assert np.isclose(slope[k], (up.value - down.value) / 2e-4, rtol=1e-4, atol=1e-4)
+        change = model.curved(up)[0] - model.curved(down)[0]
+        assert np.allclose(curved[k], change / 2e-4, rtol=1e-4, atol=1e-4)
 
 
 def test_average_information_is_that_of_observed_and_expected_curvature() -> None:
     f, at, rng = fit(), np.array([8.0, 0.2, -0.1]), np.random.default_rng(3)
     model = f.model((Disc(1, -1, 3),))
-    S = model._covariance(model._coefficients(at)[0])
-    draws = rng.multivariate_normal(np.zeros(len(S)), S, size=400)
-    found = [model.evidence(float(t @ t), t, at, order=order).curved for t in draws for order in (1, 2)]
+    S = _spread(f, model, at[None])
+    draws = rng.multivariate_normal(np.zeros(len(S)), S + np.eye(len(S)), size=400)
+    here = [model.evidence(float(z @ z), model.told(z), at) for z in draws]
+    found = [model.curved(one, exactly)[1] for one in here for exactly in (False, True)]
     average, exact = np.mean(found[::2], axis=0), np.mean(found[1::2], axis=0)
     assert np.allclose(average, exact, rtol=0.1, atol=0.05 * np.abs(exact).max())
 
@@ -91,12 +94,18 @@ def test_sizes_and_ratios_are_the_likeliest() -> None:
 
 def _signal(f: ContactFit, model: Any, z: np.ndarray, at: np.ndarray) -> np.ndarray:
     """What the discs and the image explain of readings, by a dense covariance."""
+    S = _spread(f, model, at)
+    return np.asarray(S @ np.linalg.solve(S + np.eye(len(z)), z))
+
+
+def _spread(f: ContactFit, model: Any, at: np.ndarray) -> np.ndarray:
+    """Dense covariance of readings by the discs and the image, without noise."""
     S = f.moved @ f.moved.T
     for w, (size, u, v) in zip(model.windows, at, strict=True):
         share = np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
         for A in np.split(w.columns, len(w.made), axis=1):
             S += A @ np.kron(share, np.eye(w.modes.shape[1])) @ A.T
-    return S @ np.linalg.solve(S + np.eye(len(z)), z)
+    return S
 
 
 def test_modes_of_a_disc_hold_the_pressures_of_the_prior_in_it() -> None:
@@ -134,7 +143,8 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     plain = reach @ np.linalg.solve(S, z)
     made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
     R = f.problem.resultant
-    mean, _, wrench, _ = f._posterior(z, Fitted((disc,), at, 0.0))
+    model = f.model((disc,))
+    mean, _, wrench, _ = f._posterior(model.evidence(z @ z, model.told(z), at), model, f._laid(model))
     assert np.allclose(mean, plain, rtol=1e-7, atol=1e-7 * np.abs(plain).max())
     dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T) + sum(np.outer(m, m) for m in made)) @ R.T
     assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
@@ -166,18 +176,18 @@ def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> N
     """A hundred markers at five times the noise: what size and ratios leave open is no small normal error."""
     f, (y, _) = fit(), pressed()
     z = y.ravel() / NOISE / 5 + 0.98 * np.random.default_rng(2).standard_normal(y.size)
-    model, disc = f.model((Disc(2, -1, 4),)), (Disc(2, -1, 4),)
+    model = f.model((Disc(2, -1, 4),))
     best = model.fitted(z, np.array([[9.0, -0.1, 0.1]]), turns=40)
     square, told, R = float(z @ z), model.told(z), f.problem.resultant
-    w, V = np.linalg.eigh(-model.evidence(square, told, best.at.ravel(), order=2).curved)
+    w, V = np.linalg.eigh(-model.curved(model.evidence(square, told, best.at), exactly=True)[1])
     line, logs, forces, spreads = np.linspace(-5, 5, 11), [], [], []
     for by in np.stack(np.meshgrid(line, line, line), axis=-1).reshape(-1, 3):
         at = best.at.ravel() + V @ (by / np.sqrt(w))
-        value = model.evidence(square, told, at).value
-        if value < best.evidence - 12:
+        here = model.evidence(square, told, at)
+        if here.value < best.evidence - 12:
             continue
-        mean, _, wrench, pull = f._posterior(z, Fitted(disc, at.reshape(1, 3), value))
-        logs.append(value + pull)
+        mean, _, wrench, pull = f._posterior(here, model, f._laid(model))
+        logs.append(here.value + pull)
         forces.append((R @ mean)[2])
         spreads.append(wrench[2, 2])
     p = np.exp(np.array(logs) - max(logs))
