@@ -41,6 +41,8 @@ from tactile.generate import (
     presses,
 )
 
+from .learned_chain import auc
+
 Array = np.ndarray
 E, NU, SIZE, THICKNESS = 147e3, 0.45, (16e-3, 14e-3), 3e-3
 IMAGE = (360, 400)
@@ -207,6 +209,27 @@ def by_physics(of: MultilayerPad, sets: Sets, count: int) -> list[Row]:
     return rows
 
 
+def told_apart(one: LearnedSensor, sets: Sets) -> dict[str, float]:
+    """How well the novelty tells presses of each row from those of the first (AUC)."""
+    novelty = {name: [v.value for v in one.fitted.predict(kept.read().data).verdicts]
+               for name, kept in sets.tests.items()}  # fmt: skip
+    known, *others = novelty
+    return {name: auc(novelty[known], novelty[name]) for name in others}
+
+
+def of_the_gel(one: LearnedSensor, kept: TrainingSet) -> tuple[float, float]:
+    """By how much of the normal force, in the median, its error goes with modulus and nu of the gel, and what is left.
+
+    No reading tells these: by least squares over the presses, of the values that were drawn.
+    """
+    seen, R = kept.read(), one.sensor.resultant[2]
+    off = one.fitted.mean(seen.data) @ R / (seen.loads @ R) - 1
+    gel = np.column_stack([seen.parameters["E"] / E - 1, seen.parameters["nu"] - NU])
+    found = np.linalg.lstsq(np.column_stack([gel, np.ones(len(off))]), off, rcond=None)[0]
+    by_gel = gel @ found[:2]
+    return float(np.median(np.abs(by_gel))), float(np.median(np.abs(off - by_gel)))
+
+
 def rate(one: LearnedSensor, y: Array, times: int = 50) -> float:
     """Maps a second of one core, from readings."""
     one.explained(y)
@@ -275,6 +298,12 @@ def main(draws: int = 5000) -> None:
         print(f"{title}, {draws} presses:", show(rows), sep="\n")
         for name, one in ways.items():
             print(f"{name}: {rate(one, own.tests['in the set'].read([0]).data[0]):.0f} maps a second of one core")
+            gel, rest = of_the_gel(one, own.tests["in the set"])
+            print(
+                f"normal force in the set: off by {gel:.1%} by the gel, which no reading tells, {rest:.1%} without it"
+            )
+            apart = ", ".join(f"{row} {value:.2f}" for row, value in told_apart(one, own).items())
+            print(f"told from presses of the set by novelty (AUC): {apart}")
         path = Path(f"learned_skin{'_depth' if of is whole else ''}.png")
         picture(list(ways.items()), own, path)
         print(f"picture: {path}\n")

@@ -54,6 +54,18 @@ def test_the_band_does_not_hold_on_another_gel(rows: dict[tuple[str, str], Row])
     assert other.wrench < same.wrench
 
 
+def test_what_of_the_force_is_the_gel(linear: LearnedSensor, sets: Sets) -> None:
+    gel, rest = learned_skin.of_the_gel(linear, sets.tests["in the set"])
+    assert 0.01 < gel < 0.2  # 4 % of 200 presses
+    assert rest < 0.2
+
+
+def test_novelty_is_told_for_each_row(linear: LearnedSensor, sets: Sets) -> None:
+    apart = learned_skin.told_apart(linear, sets)
+    assert list(apart) == list(sets.tests)[1:]
+    assert all(0 <= value <= 1 for value in apart.values())
+
+
 def test_table_and_picture(rows: dict[tuple[str, str], Row], linear: LearnedSensor, sets: Sets, tmp_path: Path) -> None:
     assert "other gel" in learned_skin.show(list(rows.values()))
     learned_skin.picture([("linear", linear)], sets, tmp_path / "x.png")

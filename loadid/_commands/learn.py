@@ -35,6 +35,7 @@ DEMOS = "loadid.demos"  # entry points of demonstrations that other packages bri
 NAMES = {
     "plan": ("model", "truth", "sensor", "set", "draws", "seed", "workers", "declaration", "page", "map"),
     "map": ("engine", "output", "hold", "coverage", "seed", "file", "settings"),
+    "sensor's map": ("engine", "seed", "file", "settings"),
 }
 EXAMPLES = """\
 examples:
@@ -48,7 +49,8 @@ examples:
     loadid learn run map.h5 log.csv -o load.h5
     loadid identify log.csv --model map.h5 -o load.h5
 
-JOB.toml names a model file and the folder of a training set, and may say how each is made:
+JOB.toml names a model file and the folder of a training set, and may say how each is made (a gel pad is a table
+[sensor] in place of the model, and its map is for loadid tactile FRAMES --map):
     model = "model.h5"
     set = "training"
     draws = 600
@@ -90,6 +92,7 @@ def fitted(path: str | Path, progress: Any = None) -> FittedMap:
     """
     from .._families.learned import LearnedMap
     from ..generate import TrainingSet
+    from ..generate._plan import of_sensor
 
     job, plan, folder = job_of(path)
     told = dict(plan.table(job, "map"))
@@ -97,8 +100,13 @@ def fitted(path: str | Path, progress: Any = None) -> FittedMap:
     told.pop("file", None)
     if not isinstance(own, dict):
         plan.refused("settings of [map]", own, "a table [map.settings]")
-    model = load_model(plan.file(job, "model", str(path), folder))
     training = TrainingSet.open(folder / plan.text(job, "set", str(path)))
+    if "sensor" in job:
+        plan.known(told, "sensor's map", "[map]")
+        learn = of_sensor(job, plan, Path(path).resolve())[2]
+        learned: FittedMap = learn(training, progress=progress, **told, **own)
+        return learned
+    model = load_model(plan.file(job, "model", str(path), folder))
     return LearnedMap(model, progress=progress, **told).fit(training, **own)
 
 

@@ -19,17 +19,18 @@ from structures.errors import InputError, one_of
 from .. import _guards as guards
 from .._learning import outputs as outs
 from .._learning.adaptation import Adaptation, adapted, bias_of
-from .._learning.calibration import Factors, calibrated, require_draws
+from .._learning.calibration import Factors, calibrated, grown, require_draws
 from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
 from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
+from .._learning.posterior import HistoryPosterior, StaticPosterior, over_time
 from .._learning.training import Lesson, has_gaps, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
-from .answer import over_time
+from .answer import over_time as along_time
 from .data import gather, readings
 from .deconvolution import Deconvolution
 from .smoothness import geometry
@@ -192,6 +193,8 @@ class FittedMap(ReadOnly):
         Coverage, draws and fingerprint of the training set, whether readings are missing there; hold.
     adaptation : Adaptation, optional
         What real records told.
+    along : array (lags, outputs, outputs), optional
+        How errors of histories go along from sample to sample.
     """
 
     model: Model
@@ -204,6 +207,7 @@ class FittedMap(ReadOnly):
     physics: Any
     facts: Mapping[str, Any]
     adaptation: Adaptation = field(default=None)  # type: ignore[assignment]
+    along: Array | None = None
 
     def __post_init__(self) -> None:
         if self.adaptation is None:
@@ -245,7 +249,7 @@ class FittedMap(ReadOnly):
             self._require_step(data.dt)
             lost = bool(data.missing.any()) and not self.facts["gaps"]
             given = data  # type: ignore[assignment]
-            values, axis = data.values[None], over_time(len(data.values), data.dt)
+            values, axis = data.values[None], along_time(len(data.values), data.dt)
         told = self.predict(values)
         alarms = np.array([v.alarm or lost for v in told.verdicts])
         own = self._assembled(given, values, axis, told)
@@ -264,8 +268,7 @@ class FittedMap(ReadOnly):
             self.novelty.verdict(one / self.scale, None if white is None else white[i]) for i, one in enumerate(clean)
         )
         told = self.adaptation
-        factor = self.factors.inside if self.dt is None else self.factors.of(values.shape[1])
-        own, shared = std * factor * np.abs(told.gain) * told.spread, told.shared(mean)
+        own, shared = self.factors.applied(mean, std) * np.abs(told.gain) * told.spread, told.shared(mean)
         std = np.hypot(own, np.linalg.norm(shared, axis=-2))
         return Prediction(mean * told.gain + told.offset, std, left, verdicts, shared)
 
@@ -335,19 +338,22 @@ class FittedMap(ReadOnly):
         if not loaded:
             return replace(self, adaptation=alone)
         together = 1.0 if self.dt is None else 2.0 * self.engine.reach + 1
-        found, W = alone, self._factor()
+        found, W = alone, self._correlation
         for _ in range(2):  # errors are as large as the gain makes them
             size = np.abs(found.gain)
-            told = [known.against(p.mean, p.std * size, None if W is None else W * size, together, of_sums)
-                    for p, known in loaded]  # fmt: skip
+            told = [known.against(p.mean, p.std * size, W, together, of_sums) for p, known in loaded]
             found = adapted(told, self.outputs.groups, replace(alone, fixed=alone.fixed * size))
         seen = [v.scores for p, _ in loaded for v in p.verdicts]
         return replace(self, adaptation=found, novelty=self.novelty.widened(seen))
 
-    def _factor(self) -> Array | None:
-        """Factor of the posterior covariance of one static load, where the engine knows it."""
+    @cached_property
+    def _correlation(self) -> Array | None:
+        """Factor of the correlation of errors of one static load or sample, where the engine knows it."""
         W = getattr(self.engine, "covariance", None)
-        return None if W is None else W * self.factors.inside
+        if W is None:
+            return None
+        size = np.linalg.norm(W, axis=0)
+        return np.asarray(W / np.where(size > 0, size, 1.0))
 
     # -- files --------------------------------------------------------------------------------------------------------
     def save(self, path: Any) -> None:
@@ -409,33 +415,46 @@ class FittedMap(ReadOnly):
             sensors=[c.label for c in given.channels], sensor_units=[c.unit for c in given.channels],
             flags=flags, certificate=model.certificate,
             geometry=None if basis is None or self.outputs.matrix is not None else geometry(basis),
-            posterior=self._posterior(load.shape, told.shared[0] if single else told.shared), facts=Facts.of(facts),
+            posterior=self._posterior(told, single), facts=Facts.of(facts),
             provenance=provenance(NAME, settings=settings, inputs=given.inputs, model=model.fingerprint,
                                   prior=f"loads like those of {self.facts['draws']} examples"),
         )  # fmt: skip
 
-    def _posterior(self, shape: tuple[int, ...], shared: Array) -> Any:
-        W = self._factor()
-        if W is None or self.dt is not None:
-            return None
-        return outs.StaticPosterior(W * (self.adaptation.gain * self.adaptation.spread), shape, shared)
+    def _posterior(self, told: Prediction, single: bool) -> Any:
+        W, sign = self._correlation, np.sign(self.adaptation.gain)
+        own, shared = (x[0] if single else x for x in (told.own, told.shared))
+        if self.dt is None:
+            return None if W is None else StaticPosterior(W * sign, own, shared)
+        return None if self.along is None else HistoryPosterior(self.along * sign[:, None] * sign, own, shared)
 
 
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     """With factors of the std and limits of the alarm from the draws kept apart."""
     errors, stds, scores = [], [], []
+    plain = Factors.none(lesson.outputs, _share(map_, lesson))
     if lesson.dt is not None:
         map_ = replace(map_, novelty=_settled(map_, lesson))
     for data, truth in lesson.batches(lesson.calibrating):
         mean, std = map_.engine.predict(data)
         errors.append(mean - truth)
-        stds.append(np.broadcast_to(std, mean.shape))
+        stds.append(plain.grown(mean, std))
         white = _white(map_, lesson, data, mean)
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
-    found = calibrated(np.concatenate(errors), np.concatenate(stds), map_.outputs.group_of, coverage, reach)
+    off, std = np.concatenate(errors), np.concatenate(stds)
+    found = calibrated(off, std, map_.outputs.group_of, coverage, reach, plain.share)
+    if lesson.dt is not None:
+        std = found.multiplied(std)
+        map_ = replace(map_, along=over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0)))
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
+
+
+def _share(map_: FittedMap, lesson: Lesson) -> Array:
+    """How errors grow with the load, by the examples that choose."""
+    found = [(truth, *map_.engine.predict(data)) for data, truth in lesson.batches(lesson.choosing)]
+    truth, mean, std = (np.concatenate(column) for column in zip(*found, strict=True))
+    return grown(mean - truth, std, mean, map_.outputs.group_of)
 
 
 def _settled(map_: FittedMap, lesson: Lesson) -> Novelty:

@@ -196,6 +196,8 @@ class SpectralPosterior:
 
 ELSEWHERE = {  # kind -> module and class that reads it
     "acting": (".support", "ActingPosterior"),
+    "correlated": (".._learning.posterior", "StaticPosterior"),
+    "correlated over time": (".._learning.posterior", "HistoryPosterior"),
     "convolved": (".convolved.posterior", "ConvolvedPosterior"),
     "drawn": (".marginal", "DrawnPosterior"),
     "marginal": (".marginal", "MarginalPosterior"),

@@ -82,7 +82,7 @@ class Told:
     known, std : array
         The numbers, and the std that the map states for them.
     factor : array (j, outputs) or None
-        Of the covariance of errors of one sample, where they go along.
+        Of the correlation of errors of one sample, where they go along.
     together : float
         Samples that err together.
     """
@@ -121,7 +121,7 @@ class Told:
         wide = np.sqrt(self.together)
         if self.factor is None or self.sums is not None:
             return np.asarray(wide * rows * self.size)
-        at = rows.reshape(len(rows), -1, self.factor.shape[1])
+        at = rows.reshape(len(rows), -1, self.factor.shape[1]) * self.std.reshape(-1, self.factor.shape[1])
         return np.asarray(wide * (at @ self.factor.T).reshape(len(rows), -1))
 
     @property
@@ -174,7 +174,7 @@ def _fitted(found: Sequence[Told], columns: Sequence[Array], before: Array) -> t
     apart = sum(max(1.0, len(o) / t.together) for t, o in zip(found, off, strict=True))
     wider = float(stdtrit(BEFORE + apart, WITHIN)) / NormalDist().inv_cdf(WITHIN)  # of Student's t: it was measured
     if any(t.sums is not None for t in found):  # sums that are off by less do not tell that loads are
-        spread = max(spread, 1.0)
+        return x, F, max(spread * wider, 1.0)
     return x, F, spread * wider
 
 

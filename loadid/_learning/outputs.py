@@ -142,7 +142,7 @@ class Known:
         ----------
         mean, std : array (1, [samples,] outputs)
         W : array (k, outputs) or None
-            Factor of the covariance of the outputs.
+            Factor of the correlation of the outputs.
         together : float
             Samples that err together.
         of_sums : callable, optional
@@ -155,44 +155,8 @@ class Known:
         if of_sums is not None:
             error = of_sums(each)[self.rows]
         else:
-            error = np.sqrt(self.sums**2 @ each**2) if W is None else np.linalg.norm(W @ self.sums.T, axis=0)
+            error = np.sqrt(self.sums**2 @ each**2) if W is None else np.linalg.norm((W * each) @ self.sums.T, axis=0)
         return Told(mean, self.sums, self.values, error, None, 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class StaticPosterior:
-    """Covariance W^T W of a static load, the same in every frame, and errors that all frames share.
-
-    Parameters
-    ----------
-    W : array (k, outputs)
-    shape : tuple of int
-        Of the load.
-    shared : array ([frames,] j, outputs)
-        Errors of unit std.
-    """
-
-    W: Array
-    shape: tuple[int, ...]
-    shared: Array
-
-    def variance(self, w: Array) -> Array:
-        """Of weights (..., [frames,] outputs); frames err independently but for what they share."""
-        w = np.asarray(w, float)
-        along = np.sum((w @ self.W.T) ** 2, axis=-1)
-        beside = np.einsum("...o,...jo->...j", w, self.shared)
-        if len(self.shape) > 1:
-            along, beside = np.sum(along, axis=-1), np.sum(beside, axis=-2)
-        return np.asarray(along + np.sum(beside**2, axis=-1))
-
-    @property
-    def std(self) -> Array:
-        """Of each load, the shape of the load."""
-        return np.broadcast_to(np.sqrt(np.sum(self.W**2, axis=0) + np.sum(self.shared**2, axis=-2)), self.shape)
-
-    def to_arrays(self) -> dict[str, Any]:
-        """What a file keeps."""
-        return {"kind": "factor", "W": self.W, "shared": self.shared}
 
 
 def _finite(given: Any) -> Array:
@@ -207,10 +171,10 @@ def words(verdict: Verdict) -> str:
 
 
 def _variances(found: LoadEstimate, matrix: Array) -> Array:
-    """Variance of sums of loads (rows of a matrix), in every sample or frame."""
+    """Variance of sums of loads (rows of a matrix), in every sample or frame; at most, where nobody knows more."""
     posterior, load = found.posterior, np.asarray(found.load)
     if posterior is None or (load.ndim == 2 and len(load) > FRAMES):
-        return np.asarray(found.std**2 @ (matrix**2).T)
+        return np.asarray((found.std @ np.abs(matrix).T) ** 2)
     rows = np.atleast_2d(load)
     out = np.zeros((len(rows), len(matrix)))
     for i in range(len(rows)):

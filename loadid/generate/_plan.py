@@ -73,7 +73,7 @@ def generate_from(
         said.refused("draws", None, "how many")
     place = Path(out) if out is not None else file.parent / said.text(job, "set", str(path))
     number = seed if seed is not None else int(job.get("seed", 0))
-    maker, pictures = (_of_sensor if "sensor" in job else _of_model)(job, said, file)
+    maker, pictures = of_sensor(job, said, file)[:2] if "sensor" in job else _of_model(job, said, file)
     found = generate(
         maker, place, draws=many, seed=number, workers=workers or job.get("workers"), scheduler=scheduler,
         progress=progress,
@@ -104,11 +104,20 @@ def _of_model(job: Mapping[str, Any], said: _toml.PlanReader, file: Path) -> tup
     return HistoryMaker(model, declared, others), lambda seed, draws: []
 
 
-def _of_sensor(job: Mapping[str, Any], said: _toml.PlanReader, file: Path) -> tuple[DrawMaker, Pictures]:
+def of_sensor(
+    job: Mapping[str, Any], said: _toml.PlanReader, file: Path
+) -> tuple[DrawMaker, Pictures, Callable[..., Any]]:
+    """What draws for the sensor of a job, its pictures, and what learns its map: of a training set and settings.
+
+    Raises
+    ------
+    InputError
+        No package here knows such sensors; from that package.
+    """
     found = {one.name: one for one in entry_points(group=GROUP)}
     if "sensor" not in found:
         raise InputError("nothing here draws for sensors", where=said.where, found="no generator of sensors",
                          expected=f"a package with the entry point {GROUP}",
                          hint="install loadid again: pip install --force-reinstall loadid")  # fmt: skip
-    made: tuple[DrawMaker, Pictures] = found["sensor"].load()(job, file)
+    made: tuple[DrawMaker, Pictures, Callable[..., Any]] = found["sensor"].load()(job, file)
     return made

@@ -25,6 +25,7 @@ from .. import _guards as guards
 from .._arrays import Array, UnusableFrame
 from .._pad import padfile
 from .._pad.pad import Pad
+from .._pad.tolerances import Tolerances
 from .._results.film import FPS, encoded, pictures, require_video
 from .._results.forcemap import ForceMap, record
 from .._results.pictures import sequence_figure
@@ -107,7 +108,7 @@ def reconstruct(
         raise InputError("the surface of this mesh is of triangles", where=f"{settings.path}: [pad] mesh",
                          found=repr(pad), expected="quadrilaterals",
                          hint='pitch = "1 mm" rebuilds the body from bricks')  # fmt: skip
-    built, fixed = _sensor(sensor, pad, seen, maps, contact, codes)
+    built, fixed = _sensor(sensor, pad, seen, maps, contact, codes, settings.tolerances)
     tracked = _tracked(seen, maps, frames, tell)
     words = "no lambda: F = K U is a product"
     if sensor == "multilayer":
@@ -134,7 +135,13 @@ class _Tracked:
 
 
 def _sensor(
-    name: str, pad: Pad, seen: MarkerSource, maps: DepthMaps | None, contact: dict[str, Any], codes: tuple[str, ...]
+    name: str,
+    pad: Pad,
+    seen: MarkerSource,
+    maps: DepthMaps | None,
+    contact: dict[str, Any],
+    codes: tuple[str, ...],
+    tolerances: Tolerances,
 ) -> tuple[Any, float | None]:
     """The sensor, and lambda where it is stated as a number."""
     given: dict[str, Any] = {
@@ -150,7 +157,7 @@ def _sensor(
     choice = contact.get("lam")
     fixed = None if choice is None or isinstance(choice, str) else float(choice)
     built = MultilayerPad(
-        pad, choice=choice if fixed is None else fixed, penalty=penalty(contact), **given,
+        pad, choice=choice if fixed is None else fixed, penalty=penalty(contact), tolerances=tolerances, **given,
     )  # fmt: skip
     return built, fixed
 

@@ -25,6 +25,7 @@ from ..vision._eye import View
 from ..vision._rays import Window
 from . import body as outline
 from .table import TomlTable
+from .tolerances import Tolerances
 
 if TYPE_CHECKING:
     from .._sensors.observation import DepthMap
@@ -45,6 +46,11 @@ layers = 4                      # of elements through the thickness
 # rim = "bonded"                # the sides are held by a ring or box; free if left out
 # curvature = "40 mm"           # radius of curvature of a domed surface, the thickness at its apex;
 # shape = "dome"                # or a cap on a round plinth: radius, height and plinth for size and thickness
+
+# [tolerances]                  # std of what the pad is built with, where the band should hold it
+# E = 0.1                       # of its value
+# nu = 0.03                     # of nu itself
+# thickness = 0.05              # of its value
 
 [camera]                        # a lens under the pad ...
 focal = 640                     # px
@@ -78,7 +84,7 @@ no_pull = false
 # lam = 0.007                   # relative lambda, or its rule; chosen on the strongest frames if left out
 # penalty = "identity"          # a ridge; "gradient", "laplacian"; without it loads are taken to be contacts
 """
-TABLES = ("pad", "camera", "markers", "depth", "contact")
+TABLES = ("pad", "tolerances", "camera", "markers", "depth", "contact")
 METHODS = ("parabola", "centroid")
 PENALTIES = ("contact", "identity", "gradient", "laplacian")
 SHAPES, RIMS = ("block", "dome"), outline.RIMS
@@ -109,8 +115,9 @@ class SensorFile:
     """A sensor as its file describes it.
 
     `body` are settings of `Pad`, for `Pad.from_settings`, `tracking` those of `tactile.vision.MarkerTracker`, `contact`
-    those of the inversion (``no_pull, friction, lam, penalty``); `noise` is the std of the place of a marker with its
-    unit, ``"px"`` or ``"m"``; `unit` that of marker motions in a file: ``"px"``, or metres of one unit.
+    those of the inversion (``no_pull, friction, lam, penalty``), `tolerances` say how well the pad is known; `noise` is
+    the std of the place of a marker with its unit, ``"px"`` or ``"m"``; `unit` that of marker motions in a file:
+    ``"px"``, or metres of one unit.
     """
 
     path: Path
@@ -121,6 +128,7 @@ class SensorFile:
     unit: str | float = "px"
     depth: DepthKind | None = None
     contact: Mapping[str, Any] = field(default_factory=dict)
+    tolerances: Tolerances = Tolerances()  # noqa: RUF009  (frozen)
 
 
 def read(path: str | os.PathLike[str]) -> SensorFile:
@@ -137,6 +145,7 @@ def read(path: str | os.PathLike[str]) -> SensorFile:
         tracking=_tracking(markers),
         depth=_depth(TomlTable(place, "depth", tables["depth"])) if "depth" in tables else None,
         contact=_contact(TomlTable(place, "contact", tables.get("contact", {}))),
+        tolerances=_tolerances(TomlTable(place, "tolerances", tables.get("tolerances", {}))),
     )
     markers.end()
     return found
@@ -289,6 +298,13 @@ def _depth(t: TomlTable) -> DepthKind:
         factor=sign * t.scale("unit", 1.0),
         absolute=t.flag("absolute", False),
     )
+    t.end()
+    return found
+
+
+def _tolerances(t: TomlTable) -> Tolerances:
+    with t.named():
+        found = Tolerances(*(t.number(name, 0.0) for name in ("E", "nu", "thickness")))
     t.end()
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from structures.errors import InputError, number
@@ -41,3 +42,8 @@ class Tolerances:
                     hint="a std: of nu itself, of modulus and thickness relative to their values (0.1 is 10 %)",
                 )  # fmt: skip
             object.__setattr__(self, name, value)
+
+    def beyond(self, held: Mapping[str, float]) -> Tolerances:
+        """What of them is left, where stds of some size are held already: by name, their squares apart."""
+        left = {f.name: getattr(self, f.name) ** 2 - held.get(f.name, 0.0) ** 2 for f in fields(self)}
+        return Tolerances(**{name: max(value, 0.0) ** 0.5 for name, value in left.items()})

@@ -6,6 +6,7 @@ not independent, so that sums of them cannot be told from their stds.
 Motion does not tell the modulus, so that no alarm and no calibration on a set of one gel sees another one. What the
 gel's tolerances do to a load is known to first order: tractions of the same motion are as large as the modulus; with
 another nu or thickness the readings of a load change, and with them what the map makes of these. All nodes share that.
+Gels that the presses were drawn on are in the calibration already: only what the tolerances exceed them by is added.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .._arrays import Array, Index, Mask
+from .._pad.tolerances import Tolerances
 from .._results.forcemap import ForceFacts, ForceMap
 from .gaussian import ModelError
 from .linear import LinearSensor
@@ -40,6 +42,8 @@ NEAR = 0.35  # of the distance of markers, within which a marker is the one that
 AROUND = 4  # neighbours
 Z95 = 1.959964
 AXES = ("Fx", "Fy", "Fz")
+GELS = 500  # presses that tell on which gels they were drawn
+SAME = 1e-6  # what two numbers of one gel may differ by
 
 
 class SeenModel(PadModel):
@@ -134,7 +138,7 @@ class LearnedSensor(MarkedSensor):
         own = {"places": sensor.geometry["coordinates"][sensor.kept[::3] // 3], "seed": seed}
         fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
-        facts = {**fitted.facts, "markers": markers, "resultant": band.tree()}
+        facts = {**fitted.facts, "markers": markers, "resultant": band.tree(), "gels": drawn_gels(sensor, training)}
         return cls(sensor, replace(fitted, facts=facts))
 
     @classmethod
@@ -250,35 +254,34 @@ class LearnedSensor(MarkedSensor):
         return self
 
     # -- inside -------------------------------------------------------------------------------------------------------
-    def _gel(self) -> Any:
-        body = self.sensor.pressed_body.body
-        return body if self.sensor.thickness is not None and hasattr(body, "material") else None
-
     def _other_gels(self, seen: Array, load: Array) -> list[Array]:
         """What a gel that is one std of each tolerance off does to a load (n,) of readings of the map (m,)."""
         found = [error.change[self._columns] @ load for error in self._tolerated]
         moved = self.fitted.mean(seen - np.array(found)) if found else np.zeros((0, len(load)))
-        by_E = [self._stiffness * load] if self._stiffness else []
+        by_E = [self._left.E * load] if self._left.E else []
         return [*by_E, *(load - moved)]
 
     @cached_property
-    def _tolerated(self) -> list[ModelError]:
-        """Errors of the readings within the tolerances of nu and thickness."""
-        tolerances = self.sensor.pressed_body.tolerances
-        if not (tolerances.nu or tolerances.thickness):
-            return []
-        return [error for error in self.sensor.model_errors() if error.name in ("nu", "thickness")]
+    def _left(self) -> Tolerances:
+        """Tolerances of the gel beyond those of the presses; that of the modulus is 0 where known forces told it."""
+        left = self.sensor.pressed_body.tolerances.beyond(self.fitted.facts.get("gels", {}))
+        return replace(left, E=0.0) if self.fitted.adaptation.records else left
 
-    @property
-    def _stiffness(self) -> float:
-        """Tolerance of the modulus, where no known force told it."""
-        return 0.0 if self.fitted.adaptation.records else self.sensor.pressed_body.tolerances.E
+    @cached_property
+    def _tolerated(self) -> list[ModelError]:
+        """Errors of the readings within what is left of the tolerances of nu and thickness."""
+        told = vars(self.sensor.pressed_body.tolerances)
+        share = {name: value / told[name] for name, value in vars(self._left).items() if name != "E" and value}
+        if not share:
+            return []
+        errors = [error for error in self.sensor.model_errors() if error.name in share]
+        return [replace(error, change=share[error.name] * error.change) for error in errors]
 
     @cached_property
     def _known(self) -> str:
         """How well the gel is known, in words."""
-        tolerances = self.sensor.pressed_body.tolerances
-        told = {"E": self._stiffness, "nu": tolerances.nu, "thickness": tolerances.thickness}
+        drawn = self.fitted.facts.get("gels", {})
+        told = {name: np.hypot(value, drawn.get(name, 0.0)) for name, value in vars(self._left).items()}
         said = [f"{name} {value:.3g}" for name, value in told.items() if value]
         return f"; std of the gel, {', '.join(said)}" if said else ""
 
@@ -371,6 +374,16 @@ class ResultantBand:
 def _alone(std: Array, resultant: Array) -> Array:
     """Std of resultants (..., 6) if the loads (..., n) erred independently."""
     return np.sqrt(np.asarray(std) ** 2 @ (resultant**2).T)
+
+
+def drawn_gels(sensor: LinearSensor, training: Any) -> dict[str, float]:
+    """How far the gels that presses were drawn on lie from that of a sensor, by name, rms: E and thickness relative."""
+    body, seen = sensor.pressed_body.body, training.read(slice(0, GELS)).parameters
+    own = {"E": getattr(body, "E", 0.0), "nu": getattr(body, "nu", 0.0), "thickness": sensor.thickness or 0.0}
+    off = {name: seen[name] - value for name, value in own.items() if value and name in seen}
+    size = {name: 1.0 if name == "nu" else value for name, value in own.items()}
+    found = {name: float(np.sqrt(np.mean(values**2))) / size[name] for name, values in off.items()}
+    return {name: value for name, value in found.items() if value > SAME}
 
 
 def columns_of(sensor: LinearSensor, markers: ArrayLike) -> Index:

@@ -27,11 +27,16 @@ from ._pictures import sheet
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from loadid import FittedMap
+    from loadid.generate import TrainingSet
+
 QUIET = 6  # unloaded images whose jitter is the noise, where none is stated
 
 
-def maker(job: Mapping[str, Any], file: Path) -> tuple[PressMaker, Callable[[int, int], list[Figure]]]:
-    """What draws for the ``[sensor]`` of a job, and its pictures by seed and number of draws.
+def maker(
+    job: Mapping[str, Any], file: Path
+) -> tuple[PressMaker, Callable[[int, int], list[Figure]], Callable[..., FittedMap]]:
+    """What draws for the ``[sensor]`` of a job, its pictures by seed and number of draws, and what learns its map.
 
     Raises
     ------
@@ -49,7 +54,14 @@ def maker(job: Mapping[str, Any], file: Path) -> tuple[PressMaker, Callable[[int
     table = TomlTable(file, "sensor", job["sensor"])
     sensor, truth = _sensor(table, declared)
     found = PressMaker(sensor, declared, truth)
-    return found, partial(_sheets, found)
+    return found, partial(_sheets, found), partial(_learned, sensor)
+
+
+def _learned(sensor: MultilayerPad, training: TrainingSet, *, engine: str = "linear", **settings: Any) -> FittedMap:
+    """The map of a sensor, as `LearnedSensor.fit` learns it."""
+    from .._sensors.learned import LearnedSensor
+
+    return LearnedSensor.fit(sensor, training, engine=engine, **settings).fitted
 
 
 def _sheets(found: PressMaker, seed: int, draws: int) -> list[Figure]:

@@ -86,7 +86,7 @@ def start(
     sensor = MultilayerPad(
         body, eye=eye, penalty=penalty(contact), allow=[c for c in codes if c in GUARDS],
         contact=ContactLaw(contact.get("no_pull", False), contact.get("friction")),
-        choice=before.lam if chosen is None and before is not None else chosen,
+        choice=before.lam if chosen is None and before is not None else chosen, tolerances=found.tolerances,
     )  # fmt: skip
     if not sensor.frozen:
         _calibrate(sensor)

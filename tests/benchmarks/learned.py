@@ -5,7 +5,8 @@ same noise in all records, 1 % of what the training set reads. Every route has t
 elements and 24 modes. The truth is a plate of 12 x 12 elements and 32 modes whose stiffness is off by a factor. The
 maps learn from hits of other sizes, lengths and times on 10 x 10 elements, with 32 modes and the stiffness drawn within
 8 %: what they are told of the error is its size, not its value. Errors are relative, medians over hits that no map has
-seen; "alone" is what a map says where the physics answers; peak is that of the height, coverage that of the 95 % band.
+seen; "alone" is what a map says where the physics answers; peak is that of the height, coverage that
+of the 95 % band, impulse the share of impulses in theirs.
 """
 
 from __future__ import annotations
@@ -93,13 +94,15 @@ def judged(route: Route, factor: float, noise: Array, seeds: int) -> dict[str, f
         g, band = found.load[:, 0], found.band()
         inside = (load >= band[0][:, 0]) & (load <= band[1][:, 0])
         alone = g if route.learned is None else route.learned.predict(y[None]).mean[0, :, 0]
-        size = np.linalg.norm(load)
+        size, impulse = np.linalg.norm(load), found.functional("impulse")
+        held = abs(impulse.value - load.sum() * DT) <= 1.96 * impulse.std
         rows.append([np.linalg.norm(g - load) / size, np.linalg.norm(alone - load) / size,
-                     abs(g.max() / load.max() - 1), np.mean(inside), "W609" in found.codes, cost])  # fmt: skip
+                     abs(g.max() / load.max() - 1), np.mean(inside), held, "W609" in found.codes,
+                     cost])  # fmt: skip
     table = np.array(rows, float)
     medians, means = np.median(table, axis=0), np.mean(table, axis=0)
-    return {"error": medians[0], "alone": medians[1], "peak": medians[2], "coverage": means[3], "alarms": means[4],
-            "CPU": medians[5]}  # fmt: skip
+    return {"error": medians[0], "alone": medians[1], "peak": medians[2], "coverage": means[3], "impulse": means[4],
+            "alarms": means[5], "CPU": medians[6]}  # fmt: skip
 
 
 def routes(learned: TrainingSet) -> dict[str, Route]:
@@ -118,12 +121,13 @@ def main(draws: int = 600, seeds: int = 20) -> None:
     """Print the table."""
     learned = training(draws)
     noise = learned.read([0]).noise
-    print("stiffness  route                 error    alone    peak  coverage  alarms    CPU s")
+    print("stiffness  route                 error    alone    peak  coverage  impulse  alarms    CPU s")
     for name, route in routes(learned).items():
         for factor in FACTORS:
             n = judged(route, factor, noise, seeds)
             print(f"{factor:9.2f}  {name:18s} {n['error']:8.3f} {n['alone']:8.3f} {n['peak']:7.1%} "
-                  f"{n['coverage']:9.3f} {n['alarms']:7.2f} {n['CPU']:8.3f}", flush=True)  # fmt: skip
+                  f"{n['coverage']:9.3f} {n['impulse']:8.2f} {n['alarms']:7.2f} {n['CPU']:8.3f}",
+                  flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

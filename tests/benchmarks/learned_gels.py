@@ -4,8 +4,9 @@ Presses of the case study `learned_skin`, on gels that are other than the sensor
 `Tolerances` of the gel; learned from gels drawn over a wide range (modulus within 25 %, nu .38 to .49); a depth map
 beside the markers; adapted by a few presses of known force on that gel. `gels` are presses on gels of that range.
 
-Run ``python -m tests.benchmarks.learned_gels [DRAWS [DEPTH]]``: 5000 draws by default, markers in the plane, or with
-any second word a depth map too. What is drawn stays in the folder ``learned_gels``.
+Run ``python -m tests.benchmarks.learned_gels [DRAWS] [depth] [network]``: 5000 draws by default, markers in the plane
+or a depth map too, by the linear map or by networks (extra ``learn``; two, a quarter of an hour of one core each). What
+is drawn stays in the folder ``learned_gels``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from tactile import LearnedSensor, MultilayerPad, Tolerances, Wrench
 from tactile.generate import presses
 
 RANGE, RATIOS = (0.75, 1.25), (0.38, 0.41, 0.44, 0.47, 0.49)
-KNOWN_TO = {"E 12 %, nu .03": Tolerances(E=0.12, nu=0.03), "E 14 %, nu .04": Tolerances(E=0.144, nu=0.04)}
+KNOWN_TO = {
+    "E 12 %, nu .03": Tolerances(E=0.12, nu=0.03), "E 14 %, nu .04": Tolerances(E=0.144, nu=0.04),
+    "E 20 %, nu .05": Tolerances(E=0.2, nu=0.05),
+}  # fmt: skip
 TESTED, HELD, FEW = 100, 50, (3, 5, 10)
 
 
@@ -59,13 +63,13 @@ def width(one: LearnedSensor, kept: TrainingSet) -> float:
     return float(np.median(found))
 
 
-def main(draws: int = 5000, deep: bool = False) -> None:
+def main(draws: int = 5000, deep: bool = False, engine: str = "linear") -> None:
     """Print the tables."""
     sets, of = drawn(Path("learned_gels"), draws), sensor(deep=deep)
     training, wide = (part(sets.pop(name), of, slice(None)) for name in ("training", "wide"))
     tests = {name: part(kept, of, slice(None)) for name, kept in sets.items()}
-    plain = LearnedSensor.fit(of, training, engine="linear")
-    ways = {"as it is": plain, "wide set": LearnedSensor.fit(of, wide, engine="linear")}
+    plain = LearnedSensor.fit(of, training, engine=engine)
+    ways = {"as it is": plain, "wide set": LearnedSensor.fit(of, wide, engine=engine)}
     depth = None if of.depth is None else of.depth.template
     for name, known in KNOWN_TO.items():
         ways[name] = LearnedSensor(MultilayerPad(of.pad, eye=of.eye, depth=depth, tolerances=known), plain.fitted)
@@ -82,4 +86,6 @@ def main(draws: int = 5000, deep: bool = False) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:2]), *map(bool, sys.argv[2:3]))
+    words = sys.argv[1:]
+    main(*(int(word) for word in words if word.isdigit()), deep="depth" in words,
+         engine="torch" if "network" in words else "linear")  # fmt: skip

@@ -94,7 +94,7 @@ def test_the_large_set_is_pinned() -> None:
     """5000 rendered presses by ``generate_from("tests/generate/skin.toml")``: who they are, without making them."""
     path = Path(__file__).with_name("skin.toml")
     job = _toml.read(path)
-    maker, _ = plan.maker(job, path)
+    maker, _, _ = plan.maker(job, path)
     assert job["draws"] == 5000
     assert head_of(maker, job["draws"], job["seed"]).fingerprint.startswith("8ef12e142df84a0b")
 

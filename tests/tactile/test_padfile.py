@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from structures.errors import InputError
-from tactile import Pad, View
+from tactile import Pad, Tolerances, View
 from tactile._pad import padfile
 
 BODY = '[pad]\nsize = ["6 mm", "4 mm"]\nthickness = "2 mm"\nE = "0.147 MPa"\nnu = 0.3\npitch = "1 mm"\nlayers = 3\n'
@@ -96,6 +96,14 @@ def test_noise_in_px_or_in_a_length(tmp_path: Path) -> None:
         assert found.unit == 1e-3
 
 
+def test_how_well_the_pad_is_known(tmp_path: Path) -> None:
+    assert padfile.read(written(tmp_path, BODY)).tolerances == Tolerances()
+    stated = padfile.read(written(tmp_path, f"{BODY}[tolerances]\nE = 0.1\nnu = 0.03\n")).tolerances
+    assert stated == Tolerances(E=0.1, nu=0.03)
+    said = padfile.EXAMPLE.replace("# [tolerances]", "[tolerances]").replace("# E = 0.1", "E = 0.1")
+    assert padfile.read(written(tmp_path, said)).tolerances == Tolerances(E=0.1)
+
+
 def test_depth_of_the_other_sign_and_unit(tmp_path: Path) -> None:
     text = '[depth]\npixel = "0.5 mm"\nnoise = "10 um"\nunit = "um"\npressed = "positive"\ncentre = ["1 mm", "0 mm"]\n'
     kind = padfile.read(written(tmp_path, BODY + text)).depth
@@ -130,6 +138,9 @@ def test_depth_of_the_other_sign_and_unit(tmp_path: Path) -> None:
         ("[pad]", "[contact]\nlam = 'best'\n[pad]", "[contact] lam: unknown word"),
         ("[pad]", "[camera]\ntilt = '3 deg'\n[pad]", "[camera]: the camera is not stated"),
         ("[pad]", "[markers]\nnoise = 0.02\n[pad]", "[markers] noise: a std needs its unit"),
+        ("[pad]", "[tolerances]\nE = '10 %'\n[pad]", "[tolerances] E: no number"),
+        ("[pad]", "[tolerances]\nnu = 0.6\n[pad]", "[tolerances]: Tolerances, nu: nu cannot be known to this"),
+        ("[pad]", "[tolerances]\nthick = 0.1\n[pad]", "[tolerances] thick: unknown key ... did you mean thickness"),
         ("[pad]", "[depth]\npixel = '1 mm'\n[pad]", "[depth] noise: a key is missing"),
     ],
 )
