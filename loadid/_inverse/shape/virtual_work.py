@@ -51,16 +51,16 @@ class SizedWindow:
 def searched(work: VirtualWork, halves: list[int], largest: int, level: float) -> SizedWindow:
     """The window of the least squared error, up to where this rises."""
     best: SizedWindow | None = None
-    seen = work.shown(halves[0])
+    at, wider = 0, np.empty(0)
     for half in halves:
-        wide = min(int(half * LADDER) + 1, max(largest, half))
+        seen = wider if at == half else work.shown(half)
+        at = wide = min(max(int(half * LADDER), half + 1), max(largest, half))
         wider = work.shown(wide)
         grown = (wide / half) ** (4 if work.flat else 2) - 1
         found = SizedWindow(work, half, work.std(half, level), _apart(seen, wider) / (grown or np.nan))
         if best is not None and found.risk > RISEN * best.risk:  # larger windows agree again on waves that none sees
             break
         best = found if best is None or found.risk < best.risk else best
-        seen = wider
     assert best is not None
     return best
 
