@@ -220,8 +220,19 @@ def acceleration(field: FieldFrames, noise: float) -> tuple[Array, float]:
     noise : float
         Std of the deflections (m).
     """
-    found, made = _smoothed(field, noise)
-    return found, float(np.sqrt(np.mean(np.sum(made.variance, axis=1)) / found[0].size))
+    w = field.values.reshape(len(field.values), -1)
+    assert field.dt is not None
+    _, s, V = np.linalg.svd(w, full_matrices=False)
+    ratio = min(w.shape) / max(w.shape)
+    least = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio * ratio + 14 * ratio + 1)))
+    heard = np.flatnonzero(s > noise * least * np.sqrt(max(w.shape)))
+    rate, variance = np.zeros((2, len(w), len(heard)))
+    for n, k in enumerate(heard):
+        series = (w @ V[k])[:, None] / noise
+        motion = moving.smoothed(series, np.ones(1), float(np.sqrt(np.mean(series**2))), field.dt)
+        rate[:, n], variance[:, n] = noise * motion.mean[:, 0, 2], noise**2 * motion.covariance[:, 0, 2, 2]
+    found = (rate @ V[heard]).reshape(field.values.shape)
+    return found, float(np.sqrt(np.mean(np.sum(variance, axis=1)) / found[0].size))
 
 
 def blocks(
@@ -275,27 +286,7 @@ def _inertia(field: FieldFrames, level: float) -> tuple[Array | None, float, Mad
     """Acceleration, given or made; the std of its white noise; what it is made of."""
     if field.acceleration is not None:
         return field.acceleration, _noise(field.acceleration), None
-    if field.dt is not None:
-        found, made = _smoothed(field, level)
-        return found, 0.0, made
-    return None, 0.0, None
-
-
-def _smoothed(field: FieldFrames, noise: float) -> tuple[Array, MadeInertia]:
-    """Acceleration of deflections, by the directions of their frames."""
-    w = field.values.reshape(len(field.values), -1)
-    assert field.dt is not None
-    _, s, V = np.linalg.svd(w, full_matrices=False)
-    ratio = min(w.shape) / max(w.shape)
-    least = np.sqrt(2 * (ratio + 1) + 8 * ratio / (ratio + 1 + np.sqrt(ratio * ratio + 14 * ratio + 1)))
-    heard = np.flatnonzero(s > noise * least * np.sqrt(max(w.shape)))
-    rate, variance = np.zeros((2, len(w), len(heard)))
-    for n, k in enumerate(heard):
-        series = (w @ V[k])[:, None] / noise
-        motion = moving.smoothed(series, np.ones(1), float(np.sqrt(np.mean(series**2))), field.dt)
-        rate[:, n], variance[:, n] = noise * motion.mean[:, 0, 2], noise**2 * motion.covariance[:, 0, 2, 2]
-    V = V[heard]
-    return (rate @ V).reshape(field.values.shape), MadeInertia(V.reshape(-1, *field.values.shape[-2:]), variance)
+    return None, 0.0, None if field.dt is None else MadeInertia(level, field.dt)
 
 
 def _cuts(points: int, parts: int) -> NDArray[np.intp]:
