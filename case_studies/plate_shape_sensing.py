@@ -1,4 +1,4 @@
-"""Pressure on a plate by three routes: through its shape, through a transfer matrix, and from a full field.
+"""Pressure on a plate by three routes: through its shape, through a transfer matrix, and from a full field (two ways).
 
 After Li et al. (2025), of which the abstract's route is known: strains, shape-sensing inverse finite elements, Gaussian
 radial basis functions, plate equation. A simply supported plate, 1 x 1 m and 5 mm thick, carries a pressure of two sine
@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from loadid import ShapeSensing, StaticInversion
-from loadid.fullfield import FieldFrames, virtual_fields
+from loadid import LoadEstimate, ShapeSensing, StaticInversion
+from loadid.fullfield import FieldFrames, blocks, virtual_fields
 from structures import ForwardModel, Structure, bases, plates, sensors
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ D = E * THICK**3 / 12 / (1 - NU**2)
 WAVES = {(1, 1): 100.0, (2, 1): 50.0}
 NOISE, STATIONS, PIXELS = 0.01, 10, 201
 PATCHES = 12
-ROUTES = ("shape sensing", "transfer matrix, Laplacian", "full field, virtual fields")
+ROUTES = ("shape sensing", "transfer matrix, Laplacian", "full field, virtual fields", "full field, its shape")
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,11 @@ def wave(m: int, n: int, x: Array, y: Array) -> Array:
     return np.asarray(np.sin(m * np.pi * x) * np.sin(n * np.pi * y))
 
 
-def pressure(x: Array, y: Array) -> Array:
-    """The truth in Pa."""
-    return np.asarray(sum(a * wave(m, n, x, y) for (m, n), a in WAVES.items()))
+def pressure(x: Array, y: Array, side: float = 0.0) -> Array:
+    """The truth in Pa, as means over squares of this side."""
+    return np.asarray(
+        sum(a * np.sinc(m * side / 2) * np.sinc(n * side / 2) * wave(m, n, x, y) for (m, n), a in WAVES.items())
+    )
 
 
 def deflections() -> dict[tuple[int, int], float]:
@@ -83,32 +85,41 @@ def gauged(seed: int) -> list[Row]:
     level = NOISE * float(np.abs(clean).max())
     y = clean + level * rng.standard_normal(len(clean))
     loads = bases.patches(sheet, (PATCHES, PATCHES))
-    truth = pressure(*np.asarray(loads.coordinates, float)[:, :2].T)
+    truth = patched(loads)
     model = ForwardModel(sheet, placed, loads)
     families = (
         ShapeSensing(sheet, placed, loads=loads, noise=level),
         StaticInversion(model, penalty="laplacian", noise=level),
     )
-    rows = []
-    for route, family in zip(ROUTES, families, strict=False):
-        found = family.estimate(y)
-        inside = float(np.mean(np.abs(found.load - truth) <= 1.96 * found.std))
-        rows.append(_row(route, found.load.reshape(PATCHES, PATCHES), truth.reshape(PATCHES, PATCHES), inside))
-    return rows
+    return [_on_patches(route, family.estimate(y), truth) for route, family in zip(ROUTES, families, strict=False)]
 
 
-def full_field(seed: int) -> Row:
-    """Deflections of a camera, 201 x 201 points with the same relative noise, by the virtual fields method."""
+def patched(loads: bases.Basis) -> Array:
+    """The truth as means of the patches."""
+    return pressure(*np.asarray(loads.coordinates, float)[:, :2].T, 1 / PATCHES)
+
+
+def full_field(seed: int) -> list[Row]:
+    """Deflections of a camera, 201 x 201 points with the same relative noise, two ways."""
     x = np.linspace(0, 1, PIXELS)
     X, Y = np.meshgrid(x, x)
     w = sum(a * wave(m, n, X, Y) for (m, n), a in deflections().items())
     noisy = w + NOISE * np.abs(w).max() * np.random.default_rng(seed).standard_normal(w.shape)
-    found = virtual_fields(FieldFrames(noisy[None], "deflection", (x[1], x[1])), plate())
+    field, sheet = FieldFrames(noisy[None], "deflection", (x[1], x[1])), plate()
+    found = virtual_fields(field, sheet)
     truth = pressure(X, Y)
     there = np.isfinite(found.pressure[0])
     half = 1.96 * float(np.hypot(found.std[0], found.bias[0]))
     inside = float(np.mean(np.abs(found.pressure[0] - truth)[there] <= half))
-    return _row(ROUTES[2], found.pressure[0], truth, inside)
+    placed, means, level = blocks(field)
+    loads = bases.patches(sheet, (PATCHES, PATCHES))
+    shape = ShapeSensing(sheet, placed, loads=loads, noise=level).estimate(means[0])
+    return [_row(ROUTES[2], found.pressure[0], truth, inside), _on_patches(ROUTES[3], shape, patched(loads))]
+
+
+def _on_patches(route: str, found: LoadEstimate, truth: Array) -> Row:
+    inside = float(np.mean(np.abs(found.load - truth) <= 1.96 * found.std))
+    return _row(route, found.load.reshape(PATCHES, PATCHES), truth.reshape(PATCHES, PATCHES), inside)
 
 
 def _row(route: str, found: Array, truth: Array, inside: float) -> Row:
@@ -118,17 +129,17 @@ def _row(route: str, found: Array, truth: Array, inside: float) -> Row:
 
 
 def table(seeds: int = 3) -> list[list[Row]]:
-    """The three routes, one list for each draw of the noise."""
-    return [[*gauged(seed), full_field(seed)] for seed in range(seeds)]
+    """Every route, one list for each draw of the noise."""
+    return [[*gauged(seed), *full_field(seed)] for seed in range(seeds)]
 
 
 def figure(rows: list[Row], path: Path) -> None:
-    """The truth and the three maps on one scale."""
+    """The truth and the maps on one scale."""
     from matplotlib.figure import Figure
 
-    fig = Figure(figsize=(12, 3.6), layout="constrained")
+    fig = Figure(figsize=(14, 3.4), layout="constrained")
     maps = [("truth", rows[2].truth), *((f"{r.route}\n{r.error:.1%} off", r.pressure) for r in rows)]
-    axes = fig.subplots(1, 4)
+    axes = fig.subplots(1, 1 + len(rows))
     for ax, (name, values) in zip(axes, maps, strict=True):
         image = ax.imshow(values, origin="lower", extent=(0, 1, 0, 1), vmin=-30, vmax=140, cmap="viridis")
         ax.set_title(name, fontsize=10)

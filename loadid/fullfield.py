@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from structures import Structure, units
+from structures import Structure, sensors, units
 from structures._readonly import ReadOnly
 from structures.errors import InputError, finite, one_of, pair, positive, reals
 
@@ -27,7 +27,7 @@ from ._inverse.shape import moving
 from ._inverse.shape.plate import thin_plate
 from ._inverse.shape.virtual_work import LADDER, LARGEST, SMALLEST, MadeInertia, VirtualWork, ladder, searched
 
-__all__ = ["FieldFrames", "PressureFrames", "acceleration", "read", "virtual_fields"]
+__all__ = ["FieldFrames", "PressureFrames", "acceleration", "blocks", "read", "virtual_fields"]
 
 Array = NDArray[np.float64]
 QUANTITIES = {"deflection": "displacement", "slopes": "angle"}  # of their units
@@ -220,23 +220,6 @@ def acceleration(field: FieldFrames, noise: float) -> tuple[Array, float]:
     noise : float
         Std of the deflections (m).
     """
-    found, made = _smoothed(field, noise)
-    return found, float(np.sqrt(np.mean(np.sum(made.variance, axis=1)) / found[0].size))
-
-
-# -- inside ------------------------------------------------------------------------------------------------------------
-def _inertia(field: FieldFrames, level: float) -> tuple[Array | None, float, MadeInertia | None]:
-    """Acceleration, given or made; the std of its white noise; what it is made of."""
-    if field.acceleration is not None:
-        return field.acceleration, _noise(field.acceleration), None
-    if field.dt is not None:
-        found, made = _smoothed(field, level)
-        return found, 0.0, made
-    return None, 0.0, None
-
-
-def _smoothed(field: FieldFrames, noise: float) -> tuple[Array, MadeInertia]:
-    """Acceleration of deflections, by the directions of their frames."""
     w = field.values.reshape(len(field.values), -1)
     assert field.dt is not None
     _, s, V = np.linalg.svd(w, full_matrices=False)
@@ -248,8 +231,67 @@ def _smoothed(field: FieldFrames, noise: float) -> tuple[Array, MadeInertia]:
         series = (w @ V[k])[:, None] / noise
         motion = moving.smoothed(series, np.ones(1), float(np.sqrt(np.mean(series**2))), field.dt)
         rate[:, n], variance[:, n] = noise * motion.mean[:, 0, 2], noise**2 * motion.covariance[:, 0, 2, 2]
-    V = V[heard]
-    return (rate @ V).reshape(field.values.shape), MadeInertia(V.reshape(-1, *field.values.shape[-2:]), variance)
+    found = (rate @ V[heard]).reshape(field.values.shape)
+    return found, float(np.sqrt(np.mean(np.sum(variance, axis=1)) / found[0].size))
+
+
+def blocks(
+    field: FieldFrames, *, count: int = 12, corner: tuple[float, float] = (0.0, 0.0), noise: float | None = None
+) -> tuple[list[sensors.Displacement], Array, Array]:
+    """Means of blocks of a grid of deflections, as gauges: what `ShapeSensing` takes.
+
+    Its functions know the edges of the plate and answer up to them; they hold no detail finer than the blocks. The mean
+    of a block stands for the deflection in its middle: a wave of wavenumber k is `(k h)^2 / 24` too low in blocks of
+    side h.
+
+    Parameters
+    ----------
+    field : FieldFrames
+        Deflections.
+    count : int
+        Blocks along the shorter side of the grid.
+    corner : (x, y)
+        Of the first point of the grid on the plate (m).
+    noise : float, optional
+        Std of the deflections (m); by their fourth differences where not given.
+
+    Returns
+    -------
+    gauges : list of Displacement
+    readings : array, shape (frames, gauges)
+    noise : array, shape (gauges,)
+
+    Raises
+    ------
+    InputError
+        Slopes, or a grid of fewer points.
+    """
+    ny, nx = field.values.shape[-2:]
+    if field.quantity != "deflection" or not 2 <= count <= min(nx, ny):
+        raise InputError("blocks are of deflections", where="blocks", found=f"{nx} x {ny} {field.quantity}, {count}",
+                         expected=f"deflections, and 2 to {min(nx, ny)} blocks along a side")  # fmt: skip
+    level = _noise(field.values) if noise is None else positive("noise", noise, where="blocks")
+    sizes = (field.spacing[0] * nx, field.spacing[1] * ny)
+    x, y = (_cuts(n, round(count * size / min(sizes))) for n, size in zip((nx, ny), sizes, strict=True))
+    means = np.add.reduceat(np.add.reduceat(field.values, y[:-1], axis=1), x[:-1], axis=2)
+    points = np.diff(y)[:, None] * np.diff(x)
+    at = [c + d * (i[1:] + i[:-1] - 1) / 2 for c, d, i in zip(corner, field.spacing, (x, y), strict=True)]
+    places = [(float(a), float(b)) for b in at[1] for a in at[0]]
+    found = [sensors.Displacement(at=p, label=f"{p[0]:.6g} {p[1]:.6g}") for p in places]
+    return found, (means / points).reshape(len(means), -1), level / np.sqrt(points.ravel())
+
+
+# -- inside ------------------------------------------------------------------------------------------------------------
+def _inertia(field: FieldFrames, level: float) -> tuple[Array | None, float, MadeInertia | None]:
+    """Acceleration, given or made; the std of its white noise; what it is made of."""
+    if field.acceleration is not None:
+        return field.acceleration, _noise(field.acceleration), None
+    return None, 0.0, None if field.dt is None else MadeInertia(level, field.dt)
+
+
+def _cuts(points: int, parts: int) -> NDArray[np.intp]:
+    """Ends of even parts of a row of points."""
+    return np.round(np.linspace(0, points, min(parts, points) + 1)).astype(np.intp)
 
 
 def _frames(values: ArrayLike, rank: int, what: str) -> Array:

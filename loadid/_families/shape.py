@@ -13,6 +13,7 @@ from structures import ForwardModel, Structure, bases
 from structures.errors import InputError, shown
 from structures.shape_sensing import InverseFEM, SensedField
 
+from .. import _guards as guards
 from .._inverse.choice import checked
 from .._inverse.diagnosis import identifiability
 from .._inverse.posterior import DensePosterior
@@ -20,7 +21,7 @@ from .._inverse.problem import whiten
 from .._inverse.shape import choosing, moving
 from .._inverse.shape.edged import EdgedLoads
 from .._inverse.shape.plate import ThinPlate, thin_plate
-from .._inverse.shape.radial import RadialBasis
+from .._inverse.shape.radial import FALL, ROUGH, RadialBasis
 from .._record import Record
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
@@ -35,9 +36,10 @@ from .smoothness import geometry
 
 Array = NDArray[np.float64]
 GRID = 12  # patches along the longer side
-SMALLEST, STEP = 1.0, 2**0.5  # shape parameter, times the longer side; from one that is tried to the next
+SMALLEST, STEP = 0.7, 2**0.5  # shape parameter, times the longer side; from one that is tried to the next
 FINEST = 0.75  # times the distance of the gauges: functions that are narrower, the gauges do not tell from noise
-AT_EDGES = (0.0, 0.3, 1.0)  # size of pressures that do not vanish at the edges, over that of the functions
+UNSEEN = (0.75, 1.06, 1.5)  # the same of loads as strong at short wavelengths, which the gauges see in part
+AT_EDGES = ((0.0, 2.0), (0.3, 2.0), (1.0, 2.0), (2.0, 3.0), (8.0, 4.0))  # `sizes` of pressures there
 LOST = 0.3  # share of the data (rms) that the finest field leaves, above which it cannot hold them
 EXCESS = 5.0  # the same over noise that is known
 PRIOR = "a load whose second derivatives are as likely at every wavelength down to the narrowest function; edges held"
@@ -175,7 +177,7 @@ class ShapeSensing:
             posterior=DensePosterior(spread.root, shape, frames=None if single else len(spread.mean)),
             excess=self._excess(chosen, noise),
         )
-        return self._answer(given, solved, chosen, noise, said)
+        return self._answer(given, solved, posed, chosen, noise, said)
 
     def field(self, readings: Any) -> SensedField:
         """Deflection of the whole plate behind readings (gauges,) or (frames, gauges), by inverse finite elements."""
@@ -197,7 +199,7 @@ class ShapeSensing:
         size = 1 / (best.lam * float(path.scale))
         motion = moving.smoothed(y @ path.U[:, : len(gains)] / sigma, gains, size, data.dt)
         plate, candidate = thin_plate(self.plate), posed.candidates[best.candidate]
-        functions = RadialBasis(plate.sides, plate.edges, candidate.shape, posed.ends)
+        functions = RadialBasis(plate.sides, plate.edges, candidate.shape, posed.ends, candidate.fall)
         rows = np.stack(self._rows(plate, functions), axis=-1) * candidate.sizes[:, None]  # (loads, f, 3)
         seen = np.einsum("pfd,fr->rpd", rows, V)
         load = sigma * np.einsum("trd,rpd->tp", motion.mean, seen)
@@ -220,7 +222,7 @@ class ShapeSensing:
             geometry=geometry(self.basis),
             excess=self._excess(chosen, noise),
         )
-        return self._answer(data, solved, chosen, noise, said)
+        return self._answer(data, solved, posed, chosen, noise, said)
 
     @property
     def posed(self) -> _Posed:
@@ -232,14 +234,16 @@ class ShapeSensing:
             count = max(1 + int(np.floor(np.log(FINEST / apart / SMALLEST) / np.log(STEP))), 2)
             ends = EdgedLoads(plate.sides, plate.edges, plate.nu)
             functions = [RadialBasis(plate.sides, plate.edges, SMALLEST * STEP**k, ends) for k in range(count)]
+            functions += [RadialBasis(plate.sides, plate.edges, k / apart, ends, ROUGH) for k in UNSEEN]
             rows = [(f, self._gauge_rows(plate, f), self._rows(plate, f)) for f in functions]
             self._posed = _Posed(
                 tuple(
-                    _Candidate(f.shape, sizes, gauges * sizes, tuple(load * sizes for load in loads))
+                    _Candidate(f.shape, sizes, gauges * sizes, tuple(load * sizes for load in loads), f.fall)
                     for f, gauges, loads in rows
-                    for sizes in map(f.sizes, AT_EDGES)
+                    for sizes in (f.sizes(*edged) for edged in (AT_EDGES if f.fall == FALL else AT_EDGES[2:3]))
                 ),
                 ends,
+                apart,
             )
         return self._posed
 
@@ -272,7 +276,7 @@ class ShapeSensing:
         self._progress(0.1, "posing the problem")
         posed = self.posed
         paths = choosing.paths(posed.gauges, values, noise.level)
-        self._refuse_unheld(paths[-1], noise)
+        self._refuse_unheld(paths[sum(c.fall == FALL for c in posed.candidates) - 1], noise)
         self._progress(0.3, "choosing shape and ridge")
         seen = whiten(np.asarray(self.model.static(), float).sum(axis=1), noise.level, 0)
         said = of_fields(paths, noise.sigma, seen, self.model.loads[0].unit)
@@ -329,18 +333,25 @@ class ShapeSensing:
                 **noise.source.facts,
                 "chosen": f"shape parameter {shape / self._still.size:.3g} 1/m and its ridge, "
                 f"with {len(chosen.fits) - 1} others that the data do not rule out",
-                "band": "noise, ridge and shape; a load with detail narrower than the functions lies outside",
+                "band": "noise, ridge and shape; detail that no function holds lies outside",
                 "path": "radial basis functions, SVD",
                 "places": len(self.basis.coordinates),
             }
         )
 
     def _answer(
-        self, given: Any, solved: SolvedLoad, chosen: choosing.Chosen, noise: NoiseLevel, said: NotTold | None
+        self,
+        given: Any,
+        solved: SolvedLoad,
+        posed: _Posed,
+        chosen: choosing.Chosen,
+        noise: NoiseLevel,
+        said: NotTold | None,
     ) -> LoadEstimate:
         self._progress(1.0, "done")
         if said is not None:
             solved = replace(solved, facts=replace(solved.facts, **said.facts))
+        rough = sum(fit.weight for fit in chosen.fits if posed.candidates[fit.candidate].fall == ROUGH)
         path = chosen.best.path
         settings = {"family": self.name, "choice": "evidence" if self.choice is None else shown(self.choice)}
         return answer(
@@ -351,7 +362,10 @@ class ShapeSensing:
             known=noise.known,
             prior=PRIOR,
             settings=settings,
-            flags=() if said is None else (said.flag,),
+            flags=[
+                guards.between_gauges(rough, posed.apart * self._still.size),
+                *([] if said is None else [said.flag]),
+            ],
             searched=path,
             solved=path,
             judged=False,
@@ -360,20 +374,22 @@ class ShapeSensing:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """What the geometry decides, for a shape parameter and a size of the pressures at the edges."""
+    """What the geometry decides, for a shape parameter, a size of the pressures at the edges and a fall."""
 
     shape: float
     sizes: Array
     gauges: Array
     loads: tuple[Array, ...]
+    fall: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Posed:
-    """All candidates."""
+    """All candidates, smooth ones first, and the distance of the gauges over the longer side."""
 
     candidates: tuple[_Candidate, ...]
     ends: EdgedLoads
+    apart: float
 
     @property
     def gauges(self) -> tuple[Array, ...]:

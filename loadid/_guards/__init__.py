@@ -25,6 +25,7 @@ from .choice import (
 from .families import not_in_the_set, outside_training
 from .inversion import (
     aliased,
+    between_gauges,
     cut_off,
     drifting,
     in_motion,
@@ -57,8 +58,9 @@ from .measurement import (
 )
 
 __all__ = [
-    "absolute_lambda", "aliased", "allowed", "at_the_end", "changing_lambda", "collect", "contradicting",
-    "correlated_noise", "cut_off", "diagonal", "disagreement", "drifting", "fighting", "gaps", "gcv_minimum",
+    "absolute_lambda", "aliased", "allowed", "at_the_end", "between_gauges", "changing_lambda", "collect",
+    "contradicting", "correlated_noise", "cut_off", "diagonal", "disagreement", "drifting", "fighting", "gaps",
+    "gcv_minimum",
     "high_pass", "in_motion", "index_offset", "interpolated", "inverse_crime", "lost_channels", "memory", "mixed_kinds",
     "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_in_the_set",
     "not_testable",

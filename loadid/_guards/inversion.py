@@ -16,6 +16,7 @@ from .._inverse.diagnosis.detection import CHANCE
 from .._inverse.diagnosis.identifiability import Refinement, Start
 
 PRESSURES = {"Pa", "kPa", "MPa", "GPa", "bar", "mbar", "psi", "N/m^2", "N/m²", "N/mm^2", "N/mm²"}
+LIKELY = 0.5  # probability from which something is said
 FEW = 3.0  # periods of the lowest mode below which a record is called short
 AMPLE = 2.0  # effective degrees of freedom over recoverable modes that a good lambda may use ...
 SPARE = 5.0  # ... and some more
@@ -375,6 +376,26 @@ def windows_apart(share: float) -> Flag | None:
             Option("path", "toeplitz", within="choice=Lambda"),
             " solves it in one piece; a larger lambda makes the windows forget their ends sooner",
         ),
+    )
+
+
+def between_gauges(share: float, apart: float) -> Flag | None:
+    """W320: a load with detail between the gauges, which its smooth part does not explain.
+
+    Parameters
+    ----------
+    share : float
+        Probability of a load that is as strong at wavelengths down to the distance of the gauges and beyond.
+    apart : float
+        That distance, m.
+    """
+    if not share > LIKELY:
+        return None
+    return Flag(
+        "W320",
+        Evidence("probability of a load with such detail", float(share), LIKELY),
+        f"the readings ask for a load with detail as narrow as the distance of the gauges, {apart:.2g} m: its peaks "
+        "are smoothed, and what lies between the gauges is in the band only",
     )
 
 

@@ -26,6 +26,7 @@ from loadid import (
     LoadTracker,
     LocationSearch,
     Record,
+    ShapeSensing,
     Signal,
     SparseDeconvolution,
     Spectra,
@@ -37,6 +38,7 @@ from loadid import (
 )
 from loadid._spellings import folded
 from loadid.constraints import Bounds, FrictionCone, NonNegative, Resultant, Support
+from loadid.fullfield import FieldFrames, virtual_fields
 from loadid.priors import OU, Matern32, Matern52, Periodic, RandomWalk, White
 from loadid.settings import Noise, Search
 from structures import (
@@ -51,6 +53,7 @@ from structures import (
     chains,
     damping,
     loads,
+    plates,
     sensors,
 )
 from tactile import ContactLaw, GelForce, GelSlim, HalfSpace, Layer, LayerSensor, Markers, MultilayerPad, Pad, Press
@@ -743,6 +746,48 @@ add("tactile/pad, friction/given", lambda: pressed(choice=LAM, contact=ContactLa
 add("tactile/stiffness product", slim)
 add("tactile/point forces/least squares", lambda: gel(choice=0, penalty=None))
 add("tactile/point forces/discrepancy", lambda: gel(choice="discrepancy"))
+
+
+# -- plates by their shape, and from full fields ----------------------------------------------------------------------
+HELD = Loose(1e-6, "edges hold the functions to 1e-10 of their size: four derivatives of what rounding leaves")
+
+
+@cache
+def plate() -> Any:
+    """A simply supported plate, 1 x 0.8 m."""
+    material = plates.Material(E=70e9, rho=2700, nu=0.33)
+    return plates.plate(lengths=(1, 0.8), thickness=5e-3, material=material, elements=4, damping=0.01)
+
+
+def sensed(*, samples: int = 0, **settings: Any) -> Answer:
+    """Patches from 16 rosettes of two, static or over time."""
+    placed = [sensors.StrainGauge(at=(x, y), fibre=2.5e-3, angle=a, label=f"{x} {y} {a:.1f}")
+              for x in (0.1, 0.37, 0.63, 0.9) for y in (0.1, 0.3, 0.5, 0.7) for a in (0.0, np.pi / 2)]  # fmt: skip
+    y = np.array([np.sin(np.pi * g.at[0]) * np.sin(np.pi * g.at[1] / 0.8) * (1.0 if g.angle else 0.6) for g in placed])
+    if samples:
+        y = np.cos(0.05 * np.arange(samples))[:, None] * y
+    y = 1e-5 * (y + 0.01 * np.random.default_rng(9).standard_normal(y.shape))
+    family = ShapeSensing(plate(), placed, loads=bases.patches(plate(), (5, 4)), noise=1e-7, **settings)
+    return answer(family.estimate(y, 1e-3 if samples else None))
+
+
+def full_field(**settings: Any) -> Answer:
+    """Pressure in the windows of 31 x 41 points, twelve frames."""
+    x, y, t = np.linspace(0, 1, 41), np.linspace(0, 0.8, 33), np.arange(12)
+    w = np.sin(np.pi * x) * np.sin(np.pi * y / 0.8)[:, None] * np.cos(0.1 * t)[:, None, None]
+    w = 1e-4 * (w + 1e-3 * np.random.default_rng(8).standard_normal(w.shape))
+    found = virtual_fields(FieldFrames(w, "deflection", (x[1], y[1]), **settings), plate(), noise=1e-7)
+    there = np.isfinite(found.pressure)
+    return Answer({"pressure": kept(found.pressure[there]), "std": kept(found.std), "bias": kept(found.bias),
+                   "window": np.array(found.window, float)})  # fmt: skip
+
+
+add("shape/static/evidence", sensed, HELD)
+add("shape/static/given", lambda: sensed(choice=1e-3), HELD)
+add("shape/record/evidence", lambda: sensed(samples=30), Loose(1e-5, "a length is searched to 0.05 of its logarithm"))
+add("full field/at rest", full_field, Loose(1e-8, "sums over windows cancel to 1e-4 of their terms"))
+add("full field/acceleration of the frames", lambda: full_field(dt=1e-3),
+    Loose(1e-5, "a length is searched to 0.05 of its logarithm"))  # fmt: skip
 
 
 # -- measured records -------------------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from . import (
     test_modes,
     test_not_told,
     test_offsets,
+    test_shape,
     test_spacetime,
     test_sparse,
     test_statics,
@@ -46,7 +47,7 @@ __all__ = ["folder"]  # where the files of some cases go
 CASES = [*test_histories.CASES, *test_statics.CASES, *test_locations.CASES, *test_sparse.CASES, *test_spacetime.CASES]
 CASES += [*test_frfs.CASES, *test_frequency.CASES, *test_tracking.CASES, *test_tactile.CASES]
 CASES += [*test_modes.CASES, *test_offsets.CASES, *test_unexplained.CASES, *test_faults.CASES]
-CASES += [*test_amplitudes.CASES, *test_vibration.CASES, *test_not_told.CASES, *test_learned.CASES]
+CASES += [*test_amplitudes.CASES, *test_vibration.CASES, *test_not_told.CASES, *test_learned.CASES, *test_shape.CASES]
 FIRST = {case.code: case for case in reversed(CASES)}
 CODE_RULES = {"E103", "E301", "E302", "E408"}
 ELSEWHERE = {"E116"}  # tested with the structure

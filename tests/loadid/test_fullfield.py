@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from loadid import InputError
-from loadid._inverse.shape import virtual_work
+from loadid._inverse.shape import moving, virtual_work
 from loadid._inverse.shape.plate import ThinPlate
-from loadid.fullfield import FieldFrames, acceleration, read, virtual_fields
+from loadid.fullfield import FieldFrames, acceleration, blocks, read, virtual_fields
 from structures import bases, plates
 from structures._system.factor import Factor
 
@@ -135,6 +135,41 @@ def test_the_acceleration_from_the_frames():
                    for more in ({"acceleration": true}, {"dt": 2.5e-4}))  # fmt: skip
     middle = given.pressure[inner, POINTS // 2, POINTS // 2]
     assert np.abs(made.pressure[inner, POINTS // 2, POINTS // 2] - middle).max() < 0.05 * np.abs(middle).max()
+
+
+def test_the_smoother_of_many_series_is_that_of_one():
+    """Second derivatives and their variance: covariances of the process against the state-space smoother."""
+    series = np.sin(0.3 * np.arange(40)) + 0.1 * np.random.default_rng(1).standard_normal(40)
+    S, variance = moving.accelerating(2.0, 0.02, 1e-3, 40)
+    one = moving.smoothed(series[:, None], np.ones(1), 2.0, 1e-3, 0.02)
+    assert S @ series == pytest.approx(one.mean[:, 0, 2], rel=1e-5, abs=1e-6 * np.abs(one.mean[:, 0, 2]).max())
+    assert variance == pytest.approx(one.covariance[:, 0, 2, 2], rel=1e-4)
+
+
+def test_a_blow_in_noise_without_its_acceleration():
+    """A mode under a pressure that rises and falls, 1 % noise: each window smooths its mean over time."""
+    t, x, omega = 4e-6 * np.arange(1, 81), np.linspace(0, 1, POINTS), np.pi**2 * 2 / SIDE**2 * np.sqrt(D / MASS)
+    slope, shape = np.diff(np.r_[0, np.diff(RAMP) / np.diff(TIMES), 0]), np.sin(np.pi * x)[:, None] * np.sin(np.pi * x)
+    past = np.maximum(t[:, None] - TIMES, 0)
+    move = np.sum(slope * (past - np.sin(omega * past) / omega), axis=1) / (MASS * omega**2)
+    data = noisy(move[:, None, None] * shape, 0.01, 3)
+    found = virtual_fields(FieldFrames(data, "deflection", (SIDE / (POINTS - 1),) * 2, dt=4e-6), PLATE)
+    wrong = found.pressure[:, POINTS // 2, POINTS // 2] - np.interp(t, TIMES, RAMP)
+    assert np.sqrt(np.mean(wrong[4:-4] ** 2)) < 0.05 * PEAK
+    assert np.mean(np.abs(wrong) <= 1.96 * np.hypot(found.std, found.bias)) > 0.88
+
+
+def test_blocks_of_a_field_are_gauges_of_its_shape():
+    """Uneven blocks of a grid in a corner of a plate: their middles, means and noise; slopes are refused."""
+    y, x = np.mgrid[0:31, 0:40] * 0.01
+    field = FieldFrames((2 * x - y)[None], "deflection", (0.01, 0.01))
+    placed, means, noise = blocks(field, count=4, corner=(0.1, 0.2), noise=1e-3)
+    at = np.array([g.at for g in placed])
+    assert len(placed) == 4 * 5
+    assert means[0] == pytest.approx(2 * (at[:, 0] - 0.1) - (at[:, 1] - 0.2))
+    assert 1e-3 / noise.min() >= np.sqrt(56)
+    with pytest.raises(InputError, match="blocks are of deflections"):
+        blocks(FieldFrames(np.zeros((1, 2, 9, 9)), "slopes", (0.1, 0.1)))
 
 
 def test_a_few_points_show_the_whole():

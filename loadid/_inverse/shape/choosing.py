@@ -63,11 +63,16 @@ def paths(rows: Sequence[Array], values: Array, noise: Noise | None) -> list[SVD
 
 
 def unlikely(path: RegularizationPath, point: PathPoint, sigma: float | None) -> Array:
-    """Minus twice the log likelihood of the data, the same for all shape parameters; noise unknown: at its best."""
+    """Minus twice the log likelihood of the data, the same for all shape parameters, at the noise of `level`."""
     J, ratio = np.asarray(point.objective), np.asarray(point.log_ratio)
-    if sigma is not None:
-        return np.asarray(ratio + J / sigma**2)
-    return np.asarray(ratio + path.m * np.log(J))
+    square = level(path, point, sigma) ** 2
+    return np.asarray(ratio + path.m * np.log(square) + J / square)
+
+
+def level(path: RegularizationPath, point: PathPoint, sigma: float | None) -> Array:
+    """Noise of the largest likelihood, no less than stated: what the plate equation leaves unexplained is in it."""
+    best = np.sqrt(np.asarray(point.objective) / path.m)
+    return np.asarray(best if sigma is None else np.maximum(best, sigma))
 
 
 def chosen(
@@ -128,10 +133,10 @@ def spread(found: Chosen, rows: Sequence[Array], sigma: float | None) -> Spread:
         again = fit.path.resolve(solution.load, fit.lam)
         means.append(np.atleast_2d(solution.load) @ Q.T)
         lost.append(np.atleast_2d(again - solution.load) @ Q.T)
-        level = noise_of(fit, sigma)
+        sure = noise_of(fit, sigma)
         s, V = seen_by(fit.path)
-        roots.append(np.sqrt(fit.weight) * level * (Q @ V) / np.hypot(s, x))
-        unseen[fit.candidate] = unseen.get(fit.candidate, 0.0) + fit.weight * (level / x) ** 2
+        roots.append(np.sqrt(fit.weight) * sure * (Q @ V) / np.hypot(s, x))
+        unseen[fit.candidate] = unseen.get(fit.candidate, 0.0) + fit.weight * (sure / x) ** 2
     for fit in {fit.candidate: fit for fit in found.fits}.values():
         Q, (_, V) = rows[fit.candidate], seen_by(fit.path)
         rest = Q - (Q @ V) @ V.T
@@ -150,7 +155,5 @@ def seen_by(path: SVDPath) -> tuple[Array, Array]:
 
 
 def noise_of(fit: Fit, sigma: float | None) -> float:
-    """Noise level of the whitened data: as stated, else that of the largest likelihood."""
-    if sigma is not None:
-        return sigma
-    return float(np.sqrt(np.asarray(fit.path.at(fit.lam).objective) / fit.path.m))
+    """Noise level of the whitened data."""
+    return float(level(fit.path, fit.path.at(fit.lam), sigma))

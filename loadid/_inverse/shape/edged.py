@@ -102,17 +102,17 @@ class EdgedLoads(ReadOnly):
         """Rows (points, pressures) of a derivative of the deflections."""
         along, across = self._along
         half = np.einsum("pj,ijk->pik", across.at(y, dy), self._coefficients)
-        return np.asarray(np.einsum("pi,pik->pk", along.at(x, dx), half) * self._sizes)
+        return np.asarray(np.einsum("pi,pik->pk", along.at(x, dx), half))
 
     def loads(self, x: Array, y: Array) -> Array:
         """Rows (points, pressures) of the pressures."""
         a, b = (side.polynomials(at) for side, at in zip(self._along, (x, y), strict=True))
-        return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) * self._sizes)
+        return np.asarray((a[:, :, None] * b[:, None, :]).reshape(len(a), -1))
 
-    @cached_property
-    def _sizes(self) -> Array:
+    def sizes(self, steep: float) -> Array:
+        """Of the pressures (pressures,): the uniform one is one, the others fall by this power of their degree."""
         degree = np.arange(DEGREE + 1)
-        return np.asarray((1 / (1 + degree[:, None] + degree) ** 2.0).ravel())
+        return np.asarray((1.0 / (1 + degree[:, None] + degree) ** steep).ravel())
 
     @cached_property
     def _along(self) -> tuple[RitzSide, RitzSide]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.optimize import minimize_scalar
 
 from ..gaussian.model import FilterModel
@@ -80,6 +81,22 @@ def correlation_length(data: Array, gains: Array, size: float, dt: float) -> flo
     around = (grid[max(best - 1, 0)], grid[min(best + 1, 8)])
     found = minimize_scalar(unlikely, bounds=around, method="bounded", options={"xatol": 0.05})
     return float(np.exp(found.x))
+
+
+def accelerating(size: float, length: float, dt: float, samples: int) -> tuple[Array, Array]:
+    """Smoother (samples, samples) from one series in unit noise to its second derivative, and the variance of this.
+
+    The same process, by its covariances: for many series of one size and length at once.
+    """
+    rate = POLE / length
+    F, _ = step(UNIT, np.array([[0.0], [0], [0], [np.sqrt(DENSITY)]]), rate * dt)
+    lagged = [COVARIANCE]
+    for _ in range(samples - 1):
+        lagged.append(F @ lagged[-1])
+    lags = size**2 * np.array(lagged)
+    read, bent = (toeplitz(lags[:, k, 0]) for k in (0, 2))
+    S = cho_solve(cho_factor(read + np.eye(samples)), bent).T
+    return rate**2 * S, rate**4 * (lags[0, 2, 2] - np.sum(S * bent, axis=1))
 
 
 def smoothed(data: Array, gains: Array, size: float, dt: float, length: float | None = None) -> Motion:

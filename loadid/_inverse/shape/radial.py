@@ -23,6 +23,7 @@ from .edged import EdgedLoads
 
 Array = NDArray[np.float64]
 FALL = 4  # of the weights: -2 of a deflection whose load is even, -2 of one whose second derivatives are
+ROUGH = 2  # the former: a load as strong at every wavelength down to 1 / e
 WIDEST = 0.35  # smallest shape parameter, times the longer side
 OCTAVE = np.sqrt(2)  # from one shape parameter to the next
 SPACING = 0.55  # of the centres, times the shape parameter
@@ -68,12 +69,15 @@ class RadialBasis(ReadOnly):
         Largest shape parameter: the reciprocal of the narrowest function's width.
     ends : EdgedLoads, optional
         Pressures that do not vanish at the edges, as large as those of the functions, with their deflections.
+    fall : float
+        Of the weights: `FALL`, or `ROUGH`.
     """
 
     sides: tuple[float, float]
     edges: str
     shape: float
     ends: EdgedLoads | None = None
+    fall: float = FALL
 
     @cached_property
     def scales(self) -> tuple[_Scale, ...]:
@@ -88,7 +92,7 @@ class RadialBasis(ReadOnly):
             count = int(np.ceil((side + 2 * margin) / step)) + 1
             lines.append(np.linspace(-margin, side + margin, count))
             widths.append((side + 2 * margin) / (count - 1))
-        return _Scale(shape, lines[0], lines[1], float(np.sqrt(widths[0] * widths[1]) / shape**FALL))
+        return _Scale(shape, lines[0], lines[1], float(np.sqrt(widths[0] * widths[1]) / shape**self.fall))
 
     def bare(self, x: Array, y: Array, dx: int = 0, dy: int = 0) -> Array:
         """Rows (points, functions) of a derivative of the functions before the edges hold them."""
@@ -122,10 +126,10 @@ class RadialBasis(ReadOnly):
     def _bent(self, x: Array, y: Array) -> Array:
         return self._obeying(self.bare(x, y, 4, 0) + 2 * self.bare(x, y, 2, 2) + self.bare(x, y, 0, 4))
 
-    def sizes(self, edged: float) -> Array:
-        """Factors (functions,) of the columns, with pressures at the edges of this size; 0: none."""
+    def sizes(self, edged: float, steep: float) -> Array:
+        """Factors (functions,) of the columns, with pressures at the edges of this size, 0: none, and fall."""
         count = sum(scale.x.size * scale.y.size for scale in self.scales)
-        return np.r_[np.ones(count), np.full(0 if self.ends is None else self.ends.count, edged)]
+        return np.r_[np.ones(count), [] if self.ends is None else edged * self.ends.sizes(steep)]
 
     @cached_property
     def _pressed(self) -> float:

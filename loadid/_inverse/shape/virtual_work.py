@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .moving import accelerating, correlation_length
 from .plate import ThinPlate
 
 Array = NDArray[np.float64]
@@ -20,16 +22,18 @@ SHOWN = 32  # points along each side at which windows are compared
 
 @dataclass(frozen=True, eq=False)
 class MadeInertia:
-    """Of an acceleration made of the frames: fields (directions, ny, nx) of unit norm, with the variance of each.
+    """Acceleration to be made of deflections: each window smooths its own mean over time.
 
     Parameters
     ----------
-    fields : array
-    variance : array, shape (frames, directions)
+    level : float
+        Std of the deflections (m).
+    dt : float
+        s.
     """
 
-    fields: Array
-    variance: Array
+    level: float
+    dt: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,16 +55,16 @@ class SizedWindow:
 def searched(work: VirtualWork, halves: list[int], largest: int, level: float) -> SizedWindow:
     """The window of the least squared error, up to where this rises."""
     best: SizedWindow | None = None
-    seen = work.shown(halves[0])
+    at, wider = 0, np.empty(0)
     for half in halves:
-        wide = min(int(half * LADDER) + 1, max(largest, half))
+        seen = wider if at == half else work.shown(half)
+        at = wide = min(max(int(half * LADDER), half + 1), max(largest, half))
         wider = work.shown(wide)
         grown = (wide / half) ** (4 if work.flat else 2) - 1
         found = SizedWindow(work, half, work.std(half, level), _apart(seen, wider) / (grown or np.nan))
         if best is not None and found.risk > RISEN * best.risk:  # larger windows agree again on waves that none sees
             break
         best = found if best is None or found.risk < best.risk else best
-        seen = wider
     assert best is not None
     return best
 
@@ -109,8 +113,8 @@ class VirtualWork:
         Acceleration (m/s^2).
     rough : float
         Std of its white noise.
-    made : Made, optional
-        What it was made of.
+    made : MadeInertia, optional
+        Without `pull`: it is made of the deflection.
     plate : ThinPlate
     flat : bool
         With virtual deflections that smooth no pressure of the third degree away.
@@ -153,16 +157,40 @@ class VirtualWork:
     def terms(self, half: int) -> list[tuple[Array, Array, Array]]:
         """Fields with their kernels along x and y."""
         out = [(w, kx, ky) for w, part in self.bending(half) for kx, ky in part]
-        return out if self.pull is None else [*out, *((self.pull, kx, ky) for kx, ky in self.inertia(half))]
+        pull = self.pull
+        if self.made is not None:
+            pull = np.tensordot(self.accelerating(half)[0], self.fields[0], axes=1)
+        return out if pull is None else [*out, *((pull, kx, ky) for kx, ky in self.inertia(half))]
+
+    def accelerating(self, half: int) -> tuple[Array, Array]:
+        """Smoother (frames, frames) from deflections to accelerations for this window, and the variance (frames,).
+
+        The mean of a window over the deflections has little noise: it tells how fast what it sees moves, and bears less
+        smoothing over time than the deflections do.
+        """
+        assert self.made is not None
+        if half not in self._smoothers:
+            kernels = self.inertia(half)
+            level = self.made.level * np.sqrt(_squared(kernels))
+            means = self._at(half, [(self.fields[0], kx, ky) for kx, ky in kernels]) / level
+            series = means[:, np.isfinite(means[0])]
+            size = float(np.sqrt(np.mean(series**2)))
+            length = correlation_length(series, np.ones(series.shape[1]), size, self.made.dt)
+            S, variance = accelerating(size, length, self.made.dt, len(series))
+            self._smoothers[half] = S, level**2 * variance
+        return self._smoothers[half]
+
+    @cached_property
+    def _smoothers(self) -> dict[int, tuple[Array, Array]]:
+        return {}
 
     def std(self, half: int, level: float) -> Array:
         """Of the pressure (frames,), for noise of this level in the field and of the acceleration."""
         variance = np.full(len(self.fields[0]), sum(level**2 * _squared(part) for _, part in self.bending(half)))
         if self.pull is not None:
             variance += self.rough**2 * _squared(self.inertia(half))
-        if self.made is not None and len(self.made.fields):
-            seen = self._at(half, [(self.made.fields, kx, ky) for kx, ky in self.inertia(half)])
-            variance += self.made.variance @ np.nanmean(seen**2, axis=(1, 2))
+        if self.made is not None:
+            variance += self.accelerating(half)[1]
         return np.sqrt(variance)
 
     def pressure(self, half: int) -> Array:
