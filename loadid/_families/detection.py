@@ -140,7 +140,12 @@ def of_track(model: FilterModel, Y: Array, known: bool, loads: Sequence[Channel]
         return None
     whole = (np.where(there, Y, 0.0) / np.sqrt(share))[: blocks * length].reshape(blocks, length, -1)
     turns = 2 * np.pi * np.arange(1, (length - 1) // 2 + 1) / length
-    columns, root, spread = _by_prior(model, turns)
+    try:
+        columns, root, spread = _by_prior(model, turns)
+    except np.linalg.LinAlgError:  # a line on which the load goes on for ever
+        return None
+    if not (np.isfinite(columns).all() and np.isfinite(root).all() and np.any(columns)):
+        return None
     X = np.fft.rfft(whole, axis=1)[:, 1 : len(turns) + 1].transpose(1, 2, 0) / np.sqrt(length)
     seen, X = np.linalg.solve(root, columns), np.linalg.solve(root, X)
     U, s, _ = np.linalg.svd(seen, full_matrices=False)

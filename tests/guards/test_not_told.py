@@ -340,6 +340,9 @@ def test_a_track_of_noise_is_no_number_and_a_fit_to_it_not_calibrated() -> None:
     assert "tells no load from noise" in found.certificate.failing[0]
     assert CODE in codes(found.track(y))
     assert CODE not in codes(found.track(y[:20]))  # too few to be asked
+    for_ever = priors.Periodic(sd=20.0, period=64 * DT, length=1.0)  # no spectrum: not asked
+    drifting = LoadTracker(beam("disp"), prior=for_ever, noise=1e-6, allow=["E501"])
+    assert CODE not in codes(drifting.fit(y, DT).track(y))
 
 
 # -- plates by their shape ---------------------------------------------------------------------------------------------
