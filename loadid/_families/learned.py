@@ -25,7 +25,7 @@ from .._learning.engine import ENGINES, Engine, engine
 from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
-from .._learning.posterior import HistoryPosterior, StaticPosterior, over_time
+from .._learning.posterior import HistoryPosterior, StaticPosterior, of_sums, over_time
 from .._learning.training import Lesson, has_gaps, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
@@ -195,6 +195,8 @@ class FittedMap(ReadOnly):
         What real records told.
     along : array (lags, outputs, outputs), optional
         How errors of histories go along from sample to sample.
+    sums : float
+        What the std of sums over samples is multiplied with, by calibration.
     """
 
     model: Model
@@ -208,6 +210,7 @@ class FittedMap(ReadOnly):
     facts: Mapping[str, Any]
     adaptation: Adaptation = field(default=None)  # type: ignore[assignment]
     along: Array | None = None
+    sums: float = 1.0
 
     def __post_init__(self) -> None:
         if self.adaptation is None:
@@ -425,7 +428,9 @@ class FittedMap(ReadOnly):
         own, shared = (x[0] if single else x for x in (told.own, told.shared))
         if self.dt is None:
             return None if W is None else StaticPosterior(W * sign, own, shared)
-        return None if self.along is None else HistoryPosterior(self.along * sign[:, None] * sign, own, shared)
+        if self.along is None:
+            return None
+        return HistoryPosterior(self.along * sign[:, None] * sign, own, shared, self.sums)
 
 
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
@@ -446,7 +451,8 @@ def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     found = calibrated(off, std, map_.outputs.group_of, coverage, reach, plain.share)
     if lesson.dt is not None:
         std = found.multiplied(std)
-        map_ = replace(map_, along=over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0)))
+        along = over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0))
+        map_ = replace(map_, along=along, sums=1.0 if along is None else of_sums(off, std, along, coverage))
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
 
 

@@ -39,7 +39,7 @@ def save(fitted: Any, path: Any) -> None:
         "version": VERSION, "engine": fitted.engine.name, "map": dict(fitted.engine.arrays()),
         "outputs": vars(fitted.outputs), "factors": vars(fitted.factors), "novelty": fitted.novelty.arrays(),
         "scale": fitted.scale, "dt": fitted.dt, "facts": dict(fitted.facts), "adaptation": vars(fitted.adaptation),
-        "along": fitted.along,
+        "along": fitted.along, "sums": fitted.sums,
         "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
         "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
         "fingerprint": model.fingerprint, "model": _bytes(model),
@@ -71,7 +71,7 @@ def load(path: Any, model: Model | None) -> dict[str, Any]:
         "model": model, "engine": engine(tree["engine"]).from_arrays(tree["map"]), "outputs": Outputs(**outputs),
         "factors": Factors(**tree["factors"]), "novelty": Novelty.from_arrays(tree["novelty"]), "scale": tree["scale"],
         "dt": tree["dt"], "facts": _plain(tree["facts"]), "adaptation": Adaptation.from_arrays(tree["adaptation"]),
-        "along": tree["along"],
+        "along": tree["along"], "sums": float(tree["sums"]),
     }  # fmt: skip
 
 

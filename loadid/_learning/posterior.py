@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .calibration import quantile
 
 Array = NDArray[np.float64]
 
@@ -67,11 +70,14 @@ class HistoryPosterior:
         Std without what is shared.
     shared : array (samples, j, outputs)
         Errors of unit std.
+    sums : float
+        What the std of weights on more than one sample is multiplied with.
     """
 
     along: Array
     own: Array
     shared: Array
+    sums: float = 1.0
 
     def variance(self, w: Array) -> Array:
         """Of weights (..., samples, outputs)."""
@@ -82,7 +88,8 @@ class HistoryPosterior:
         each = np.moveaxis(w * self.own, -2, 0)  # samples first
         kernel = both.reshape(len(both), *(1,) * (each.ndim - 2), *both.shape[1:])
         spread = fftconvolve(each[..., None], kernel, axes=0)[lags - 1 : lags - 1 + len(each)].sum(axis=-2)
-        own = np.maximum(np.sum(each * spread, axis=(0, -1)), 0.0)
+        several = np.count_nonzero(np.any(w != 0, axis=-1), axis=-1) > 1
+        own = np.maximum(np.sum(each * spread, axis=(0, -1)), 0.0) * np.where(several, self.sums**2, 1.0)
         beside = np.einsum("...so,sjo->...j", w, self.shared)
         return np.asarray(own + np.sum(beside**2, axis=-1))
 
@@ -98,7 +105,8 @@ class HistoryPosterior:
     @classmethod
     def from_arrays(cls, tree: Mapping[str, Any]) -> Self:
         """Inverse of `to_arrays`."""
-        return cls(*(np.asarray(tree[name], float) for name in ("along", "own", "shared")))
+        along, own, shared = (np.asarray(tree[name], float) for name in ("along", "own", "shared"))
+        return cls(along, own, shared, float(tree["sums"]))
 
 
 def over_time(ratio: Array) -> Array | None:
@@ -113,3 +121,21 @@ def over_time(ratio: Array) -> Array | None:
     lines = np.fft.rfft(ratio / np.sqrt(np.maximum(np.mean(ratio**2, axis=(0, 1)), 1e-300)), 2 * samples, axis=1)
     power = np.einsum("kfa,kfb->fab", lines.conj(), lines)
     return np.asarray(np.fft.irfft(power, axis=0)[:samples] / (draws * samples))
+
+
+def of_sums(off: Array, std: Array, along: Array, coverage: float) -> float:
+    """What the band of a sum over a whole record is multiplied with, at least 1, to hold it as often as it says.
+
+    Parameters
+    ----------
+    off, std : array (draws, samples, outputs)
+        Errors of draws kept apart, and their std.
+    along : array (lags, outputs, outputs)
+    coverage : float
+    """
+    ratio = []
+    for error, size in zip(off, std, strict=True):
+        each = np.eye(size.shape[1])[:, None, :] * np.ones((1, len(size), 1))
+        spread = np.sqrt(HistoryPosterior(along, size, np.zeros((len(size), 0, size.shape[1]))).variance(each))
+        ratio.append(np.abs(error.sum(axis=0)) / np.maximum(spread, 1e-300))
+    return max(1.0, quantile(np.ravel(ratio), coverage) / NormalDist().inv_cdf(0.5 + coverage / 2))

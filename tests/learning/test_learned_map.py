@@ -5,7 +5,7 @@ import pytest
 
 import loadid
 from loadid import Deconvolution, InputError, LearnedMap, Record, StaticInversion
-from loadid._learning.posterior import HistoryPosterior, over_time
+from loadid._learning.posterior import HistoryPosterior, of_sums, over_time
 from loadid.generate import Examples, TrainingSet
 from structures import Channel, MatrixModel
 from tests.benchmarks.adapted import real, trial
@@ -129,6 +129,20 @@ def test_the_correlation_over_time_is_that_of_the_errors():
     posterior = HistoryPosterior(along, own, np.zeros((64, 0, 2)))
     want = np.var(np.einsum("wso,kso->kw", w, own * drawn(4000)), axis=0)
     np.testing.assert_allclose(posterior.variance(w), want, rtol=0.15)
+
+
+def test_what_sums_over_a_record_lack_is_calibrated():
+    """Errors that are constant over 64 samples, where they were taken for independent: eight times as wide."""
+    off = np.random.default_rng(3).standard_normal((500, 1, 1)) * np.ones((1, 64, 1))
+    white = np.zeros((64, 1, 1))
+    white[0] = 1.0
+    wider = of_sums(off, np.ones_like(off), white, 0.95)
+    assert wider == pytest.approx(8.0, rel=0.1)
+    posterior = HistoryPosterior(white, np.ones((64, 1)), np.zeros((64, 0, 1)), wider)
+    weights = np.zeros((2, 64, 1))
+    weights[0], weights[1, 5] = 1.0, 1.0
+    np.testing.assert_allclose(posterior.variance(weights), [(8 * wider) ** 2, 1.0])
+    assert of_sums(off / 100, np.ones_like(off), white, 0.95) == 1.0
 
 
 # -- readings that it does not know ------------------------------------------------------------------------------------
