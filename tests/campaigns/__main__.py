@@ -32,6 +32,7 @@ def main() -> None:
     parser.add_argument("--fault", choices=[*faults.FAULTS, "any"], default="any", help="for faults")
     parser.add_argument("--family", choices=faults.FAMILIES, default="static", help="for faults")
     parser.add_argument("--size", type=float, help="relative size of the error of an FRF, for frequency")
+    parser.add_argument("--sensor", choices=list(tactile.KINDS), help="of tactile, the only one")
     parser.add_argument("--longest", type=int, help="samples that a record may have, for long")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -47,7 +48,7 @@ def main() -> None:
             other = grades.drawn(given.problems, given.seed + 1)
             grades.write(of, other, f"--problems {given.problems} --seed {given.seed}")
     else:
-        settings: dict[str, Any] = {k: v for k in ("size", "longest") if (v := vars(given)[k]) is not None}
+        settings: dict[str, Any] = {k: v for k in ("size", "longest", "sensor") if (v := vars(given)[k]) is not None}
         if given.variance:
             settings["penalty"] = Penalty("identity", variance=given.variance)
         found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))

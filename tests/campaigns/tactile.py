@@ -182,8 +182,8 @@ def _slipped(found: ForceMap) -> bool:
     return any(f.code.endswith("W611") for f in found.flags)
 
 
-def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Iterator[Mapped]:
-    """Maps of presses, as many on each gel; settings are those of the sensors."""
+def run(problems: int, seed: int, error: str = "none", sensor: str | None = None, **settings: Any) -> Iterator[Mapped]:
+    """Maps of presses, as many on each gel, by one kind of sensor or by all; settings are those of the sensors."""
     nuisance = error if error in NUISANCES else "none"
     draw = partial(cases, truth="dome" if error == "dome" else "fe", gel=GELS[0])
     for which, (nu, noise) in enumerate(SETUPS):
@@ -193,13 +193,13 @@ def run(problems: int, seed: int, error: str = "none", **settings: Any) -> Itera
         presses = list(draw(count, 10 * seed + which, nu=nu, noise=noise, nuisance=nuisance))
         before = list(draw(CALIBRATING, 10 * seed + which + 5000, nu=nu, noise=noise))
         pad = pad_of(presses[0], error)
-        for kind in KINDS:
+        for kind in [sensor] if sensor else KINDS:
             user = User(kind, pad, presses[0], settings)
-            sensor = user.calibrated(before)
-            best = best_of(user, sensor, presses)
+            frozen = user.calibrated(before)
+            best = best_of(user, frozen, presses)
             for case, least in zip(presses, best, strict=True):
-                yield held(user, sensor, case, least, "at once")
-            if not sensor.constrained:
+                yield held(user, frozen, case, least, "at once")
+            if not frozen.constrained:
                 open_ = user.sensor()
                 for case, least in zip(presses, best, strict=True):
                     yield held(user, open_, case, least, "each")
