@@ -58,9 +58,9 @@ def searched(work: VirtualWork, halves: list[int], largest: int, level: float) -
     at, wider = 0, np.empty(0)
     for half in halves:
         seen = wider if at == half else work.shown(half)
-        at = wide = min(max(int(half * LADDER), half + 1), max(largest, half))
+        at = wide = min(int(half * LADDER) + 1, max(largest, half))
         wider = work.shown(wide)
-        grown = (wide / half) ** (4 if work.flat else 2) - 1
+        grown = (wide / half) ** 2 - 1  # of a flat window too: errors of the elements fall no faster
         found = SizedWindow(work, half, work.std(half, level), _apart(seen, wider) / (grown or np.nan))
         if best is not None and found.risk > RISEN * best.risk:  # larger windows agree again on waves that none sees
             break
