@@ -112,7 +112,7 @@ def test_an_output_that_no_example_loads_spoils_no_factor():
     rng = np.random.default_rng(5)
     for draws in (30, 400):
         errors, std = rng.standard_normal((draws, 3)), np.tile([1.0, 1.0, 0.0], (draws, 1))
-        factors = calibrated(errors, std, np.zeros(3, int), 0.95, None).inside
+        factors = calibrated(errors, std, np.zeros(3, int), 0.95, None, np.zeros(3)).inside
         assert np.all(np.isfinite(factors))
         assert np.array_equal((std * factors)[:, 2], np.zeros(draws))
         if draws == 400:
