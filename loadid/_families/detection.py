@@ -13,13 +13,23 @@ from structures._channels import Channel
 from structures._flags import Flag
 
 from .. import _guards as guards
-from .._inverse.diagnosis.detection import CHANCE, FEWEST, LOWEST, TRIED, EnergyTest, SupportTest, noise_alone
+from .._inverse.diagnosis.detection import (
+    CHANCE,
+    FEWEST,
+    LOWEST,
+    TRIED,
+    EnergyTest,
+    SupportTest,
+    largest,
+    noise_alone,
+)
 from .._inverse.path import FactoredPath, RegularizationPath
 from .._inverse.problem import whiten
 
 if TYPE_CHECKING:
     from .._inverse.gaussian.model import FilterModel
     from .._inverse.svd import SVDPath
+    from .._learning.linear import LinearEngine
     from .posing import Posed
     from .posing.gathered import LineData
     from .posing.sparsity import SparseChoice
@@ -66,7 +76,7 @@ def of_history(
     samples, when = len(posed.values), np.flatnonzero(acting) if acting is not None else np.arange(len(posed.values))
     hit, wide = np.zeros(samples), np.zeros(samples)
     pulse = when[len(when) // 2 :][:PULSE]
-    hit[pulse] = np.sin(np.pi * (np.arange(len(pulse)) + 0.5) / PULSE)
+    hit[pulse] = half_sine(len(pulse))
     wide[when] = np.random.default_rng(0).standard_normal(len(when))
 
     def explained(history: Array, j: int) -> Callable[[float], float]:
@@ -197,6 +207,43 @@ def of_fields(paths: Sequence[SVDPath], sigma: float | None, seen: Array, unit: 
     return NotTold(chance, flag, {"told_from": (size,)})
 
 
+def of_map(linear: LinearEngine, white: Array, seen: Array, loads: Sequence[Channel], what: str) -> NotTold | None:
+    """Of readings behind a learned map: the energy of its outputs, and the largest of them.
+
+    Parameters
+    ----------
+    linear : LinearEngine
+    white : array (n, [samples,] sensors)
+        Readings in units of their noise.
+    seen : array (loads, [samples,] sensors)
+        Response to a unit load of the size that is named, in the same units.
+    loads : sequence of Channel
+    what : str
+        That load in words.
+    """
+    if not (np.isfinite(white).all() and np.any(linear.noise_std > 0)):
+        return None
+    weights, lags = linear.weights, linear.together
+    found, one = linear.over_noise(white), linear.over_noise(seen)
+    samples = white.shape[1] if white.ndim == 3 else 1
+    count = len(white) * samples
+    left = np.maximum(samples - np.arange(len(lags)), 0)
+    edf2 = len(white) * float(left @ lags + left[1:] @ lags[1:])
+    # asked twice: with the largest output
+    energy, twice = float(np.sum((found * weights) ** 2)), np.ones(2)
+    test = EnergyTest(twice, energy * twice, count * float(np.sum(weights**2)) * twice, edf2 * twice, white.size,
+                      float(np.sum(white**2)), 1.0)  # fmt: skip
+    chance, least = largest(float(np.max(np.abs(found))), count * int(np.count_nonzero(linear.noise_std)))
+    chance = min(test.chance, len(twice) * chance)
+    if chance < CHANCE:
+        return None
+    each = tuple(range(1, one.ndim))
+    over = np.max(np.abs(one), axis=each)
+    by_largest = np.divide(least, over, out=np.full(len(over), np.inf), where=over > 0)
+    sizes = np.minimum(test.sizes(np.sum((one * weights) ** 2, axis=each), 1.0), by_largest)
+    return _not_told(chance, loads, what, tuple(sizes.tolist()))
+
+
 def of_support(chosen: SparseChoice, loads: Sequence[Channel]) -> NotTold | None:
     """Of few waveforms of a dictionary: one alone, in the middle of the record."""
     problem, atoms, fit = chosen.problem, chosen.atoms, chosen.fit
@@ -214,6 +261,11 @@ def of_support(chosen: SparseChoice, loads: Sequence[Channel]) -> NotTold | None
         if response > 0:
             sizes[j] = test.least * float(abs(atoms.histories(middle)).max()) / response
     return _not_told(test.chance, loads, "one waveform alone of {}", tuple(sizes.tolist()))
+
+
+def half_sine(samples: int = PULSE) -> Array:
+    """Samples of a hit of unit peak, or its beginning."""
+    return np.asarray(np.sin(np.pi * (np.arange(samples) + 0.5) / PULSE))
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ from .._spellings import Progress
 from .answer import over_time as along_time
 from .data import gather, readings
 from .deconvolution import Deconvolution
+from .detection import PULSE, NotTold, half_sine, of_map
 from .smoothness import geometry
 from .static import StaticInversion
 
@@ -400,7 +401,9 @@ class FittedMap(ReadOnly):
         residual = None if told.residual is None else (told.residual[0] if single else told.residual)
         worst = max(told.verdicts, key=lambda v: v.value)
         model, basis = self.model, self.model.basis
+        nothing = None if worst.alarm else self._not_told(values)
         flags = guards.collect([
+            *([] if nothing is None else [nothing.flag]),
             *model.flags, guards.not_verified(model.certificate), *given.findings,
             guards.inverse_crime(given.simulated_by, model.fingerprint),
             guards.used_for_training("the record", given.fingerprints & model.training),
@@ -410,6 +413,7 @@ class FittedMap(ReadOnly):
             "m": int(values.size), "n": int(load.size), "novelty": worst.value, "novelty_by": outs.words(worst),
             "answered_by": NAME, "engine": self.engine.name,
             "band": f"error of the map on draws kept apart, coverage {self.facts['coverage']:.0%}",
+            **({} if nothing is None else nothing.facts),
         }  # fmt: skip
         settings = {"engine": self.engine.name, "adapted": self.adaptation.records, **self.facts}
         return LoadEstimate(
@@ -422,6 +426,21 @@ class FittedMap(ReadOnly):
             provenance=provenance(NAME, settings=settings, inputs=given.inputs, model=model.fingerprint,
                                   prior=f"loads like those of {self.facts['draws']} examples"),
         )  # fmt: skip
+
+    def _not_told(self, values: Array) -> NotTold | None:
+        """Whether the linear map finds a load in readings at all: one alone, or a hit in the middle of the record."""
+        linear: Any = getattr(self.engine, "linear", self.engine)
+        loads = self.model.loads
+        if self.dt is None:
+            seen, what = self.model.static().T, "a load of {} alone"
+        else:
+            samples = values.shape[1]
+            hit, width = np.zeros((samples, 1)), min(PULSE, samples - samples // 2)
+            hit[samples // 2 : samples // 2 + width, 0] = half_sine(width)
+            h = impulse_of(self.model, self.dt, samples, self.facts["hold"])
+            seen = np.stack([convolved(h[:, :, [j]], hit) for j in range(len(loads))])
+            what = f"a hit (half sine of {1e3 * width * self.dt:.3g} ms) of {{}}"
+        return of_map(linear, (values - self.adaptation.bias) / self.scale, seen / self.scale, loads, what)
 
     def _posterior(self, told: Prediction, single: bool) -> Any:
         W, sign = self._correlation, np.sign(self.adaptation.gain)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -152,6 +153,33 @@ class LinearEngine:
         """What outputs make of readings that are 1 all the time (sensors, outputs), less those of readings of 0."""
         B = self.centre.B
         return np.asarray(B.reshape(-1, self.sensors, B.shape[1]).sum(axis=0))
+
+    @property
+    def noise_std(self) -> Array:
+        """Std (outputs,) inside a record of what white noise of unit std makes of the outputs."""
+        return np.asarray(np.linalg.norm(self.centre.B, axis=0))
+
+    @cached_property
+    def weights(self) -> Array:
+        """How much an output over its `noise_std` counts (outputs,): little where noise is little of its own std."""
+        size = self.noise_std
+        return np.asarray(size / np.where(size > 0, np.hypot(size, _std(self.centre)), 1.0))
+
+    @cached_property
+    def together(self) -> Array:
+        """Sum of squares (lags,), of the covariance of weighted outputs of unit noise, from one sample on."""
+        size = self.noise_std
+        B = self.centre.B * (self.weights / np.where(size > 0, size, 1.0))
+        step = self.sensors if self.ends else len(B)
+        return np.array([np.sum((B[: len(B) - k].T @ B[k:]) ** 2) for k in range(0, len(B), step)])
+
+    def over_noise(self, data: Array) -> Array:
+        """Outputs (n, [samples,] outputs) less those of no readings, over what unit noise makes of them; 0 of none."""
+        size = np.broadcast_to(self.noise_std, (*data.shape[:-1], len(self.noise_std))).copy()
+        for i, end in enumerate(self.ends):
+            size[:, i if i < self.half else data.shape[1] - 2 * self.half + i] = np.linalg.norm(end.B, axis=0)
+        found = self.predict(data)[0] - self.predict(np.zeros_like(data))[0]
+        return np.divide(found, size, out=np.zeros_like(found), where=size > 0)
 
     @property
     def covariance(self) -> Array:

@@ -101,11 +101,11 @@ class DiscModel:
     def _factors(self, at: Array) -> tuple[list[Array], Array]:
         """F_j of every disc at sizes and ratios (3 J,), and of the image; and the Cholesky factor of what they make."""
         F = [w.factor(one) for w, one in zip(self.windows, at.reshape(-1, 3), strict=True)] + [self.image]
-        inner = np.eye(self.slices[-1].stop)
+        inner = np.zeros((self.slices[-1].stop,) * 2)
         for i, (f, rows) in enumerate(zip(F, self.slices, strict=True)):
-            for j, other in enumerate(F[:i]):
-                inner[rows, self.slices[j]] = f.T @ (self.cross[i][j] @ other)
-            inner[rows, rows] += f.T @ f
+            for j, other in enumerate(F[: i + 1]):
+                inner[rows, self.slices[j]] = f.T @ (self.cross[i][j] @ other if j < i else other)
+        inner.flat[:: len(inner) + 1] += 1.0
         return F, cholesky(inner)
 
     def _along(self, F: list[Array], told: Array) -> Array:
@@ -183,16 +183,16 @@ class DiscModel:
         tell them: what a load would make good of them is in the covariance, whole.
         """
         ends = np.cumsum([0, *self.modes])
-        made, covariance = np.zeros((len(here.inner), ends[-1])), np.zeros((ends[-1],) * 2)
+        made, covariance = np.zeros((ends[-1], len(here.inner))), np.zeros((ends[-1],) * 2)
         for j, (one, w, f) in enumerate(zip(here.at.reshape(-1, 3), self.windows, here.F, strict=False)):
             own, T, each = slice(*ends[j : j + 2]), shares(*one), np.arange(w.modes.shape[1])
             prior = np.zeros((3, len(each), 3, len(each)))
             prior[:, each, :, each] = T
             covariance[own, own] = prior.reshape(3 * len(each), -1)
-            made[self.slices[j], own] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T)
-        mean, reach = made.T @ here.beta, lower(here.inner, made)
-        covariance += reach.T @ reach - made.T @ made
-        felt = reach.T @ lower(here.inner, self._along(here.F, changes(mean)))
+            made[own, self.slices[j]] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T).T
+        mean, reach = made @ here.beta, lower(here.inner, made.T).T
+        covariance += reach @ reach.T - made @ made.T
+        felt = reach @ lower(here.inner, self._along(here.F, changes(mean)))
         return mean, covariance + felt @ felt.T
 
     @cached_property

@@ -161,6 +161,17 @@ class SupportTest:
         return float(-ndtri(CHANCE / (2 * len(self.energies) * self.atoms)) + SURE) * self.level
 
 
+def largest(size: float, many: int) -> tuple[float, float]:
+    """Chance that the largest of `many` normal numbers of unit std is as large, and what is told of two such questions.
+
+    Of the stated level some allowance is made, as in `EnergyTest`; the numbers may depend on each other.
+    """
+    from scipy.special import ndtr, ndtri
+
+    chance = min(1.0, float(2 * many * ndtr(-size / ROUGH)))
+    return chance, float(-ndtri(CHANCE / (4 * many)) + SURE) * ROUGH
+
+
 def _level(whole: float, m: int, sigma: float | None) -> float:
     """Std of one of `m` data with the sum of squares `whole`: with some allowance, where it is known."""
     return ROUGH * sigma if sigma is not None else float(np.sqrt(whole / m))
