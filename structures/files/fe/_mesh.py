@@ -93,6 +93,8 @@ def parse(request: Mapping[str, Any]) -> tuple[Any, list[Any]]:
     except (Exception, SystemExit) as error:  # meshio ends the process on some files
         raise InputError(
             "meshio cannot read the mesh", where=request["path"],
-            found=f"{type(error).__name__}: {str(error)[:160]}", expected="an undamaged mesh",
+            found="a version or kind that it does not know" if isinstance(error, SystemExit) else
+                  f"{type(error).__name__}: {str(error)[:160]}",
+            expected="an undamaged mesh of a version that it knows",
             hint="export it again, as Gmsh 4.1 or VTU",
         ) from None  # fmt: skip
