@@ -288,7 +288,7 @@ def test_files_of_other_kinds_are_refused(tmp_path, name, word):
 
 
 @pytest.mark.parametrize(("name", "text", "word"), [
-    ("a.op4", "       1       1       1       9KAA     2P,3E24.16\n       1       1       1\n  1.0\n", r"type \(1 to 4\)"),
+    ("a.op4", "       1       1       1       9KAA     2P,3E24.16\n", r"type \(1 to 4\)"),
     ("a.mtx", "%%MatrixMarket2 matrix coordinate real general\n1 1 1\n1 1 1.0\n", "no Matrix Market file"),
     ("a.msh", "$MeshFormat\n9.9 0 8\n$EndMeshFormat\n$Nodes\n1\n1 0 0 0\n$EndNodes\n", "as Gmsh 4.1"),
     ("b.msh", "$NOD\n1\n1 0 0 0\n$ENDNOD\n$ELM\n0\n$ENDELM\n", "as Gmsh 4.1"),
