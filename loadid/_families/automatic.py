@@ -68,7 +68,7 @@ class Chosen:
 class AutomaticInversion:
     """Loads by the family and the prior that model and data ask for.
 
-    It costs at most three times the plain estimate, which it returns where nothing is clearly better;
+    It costs up to about three times the plain estimate, which it returns where nothing is clearly better;
     ``estimate.facts.chosen`` says what was taken and why.
 
     Parameters
