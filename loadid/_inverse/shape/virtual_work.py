@@ -211,9 +211,13 @@ class VirtualWork:
         found = np.full((len(terms[0][0]), len(rows), len(columns)), np.nan)
         i, j = (np.flatnonzero((at >= h) & (at < n - h))
                 for at, h, n in ((rows, self.across(half), ny), (columns, half, nx)))  # fmt: skip
-        found[:, i[:, None], j] = sum(
-            _windows(rows[i], ky, ny) @ w @ _windows(columns[j], kx, nx).T for w, kx, ky in terms
-        )
+        kept = []
+        for w in {id(w): w for w, _, _ in terms}.values():  # each field is read once for all kernels
+            kernels = [(kx, ky) for other, kx, ky in terms if other is w]
+            across = np.vstack([_windows(rows[i], ky, ny) for _, ky in kernels]) @ w
+            kept += [part @ _windows(columns[j], kx, nx).T for part, (kx, _) in
+                     zip(np.split(across, len(kernels), axis=-2), kernels, strict=True)]  # fmt: skip
+        found[:, i[:, None], j] = sum(kept)
         return found
 
 
