@@ -196,8 +196,8 @@ class LinearSensor(MarkedSensor):
 
         Notes
         -----
-        Under a contact prior loads are fitted about the contacts of the frame: 0.3 to 1.2 s of one core for 1849 nodes
-        and 520 markers, more for the first frame. `follow` is for frames in a loop.
+        Under a contact prior loads are fitted about the contacts of the frame: 0.5 to 6 s of one core for 1849 nodes
+        and 520 markers, the longer the more contacts explain it. `follow` is for frames in a loop.
 
         Raises
         ------
@@ -233,7 +233,7 @@ class LinearSensor(MarkedSensor):
     def follow(self, found: ArrayLike, depth: DepthMap | None = None) -> ForceMap:
         """Force map of one of many frames, as `estimate`; with lambda frozen by the one product alone.
 
-        Under a contact prior `estimate` fits loads about the contacts, which takes most of a second on a large pad;
+        Under a contact prior `estimate` fits loads about the contacts, which takes some seconds on a large pad;
         without them bands are wider, and markers in the plane tell hardly more than shear.
 
         Raises
