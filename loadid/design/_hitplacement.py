@@ -217,6 +217,11 @@ def place_for_hits(
     ------
     InputError
         No dynamic model, a number that does not fit, a criterion that is none, a hit that moves no sensor.
+
+    Notes
+    -----
+    Bias and variance of a regularised load, P. C. Hansen, Discrete Inverse Problems (SIAM 2010), sections 4.2 and 5.1;
+    exchange of points of a design, V. V. Fedorov, Theory of Optimal Experiments (1972), ch. 3.
     """
     model = as_model(candidates, "design.place_for_hits")
     labels, hit = [c.label for c in model.sensors], Pulse(*pulse)
