@@ -25,7 +25,7 @@ OWN = 0.1  # of the pressure: std of shear that does not go with it
 ROUNDING = 1e-13  # of the largest variance, that any direction has at least
 STEP = 1 / 6  # thicknesses between the middles of discs
 SMALLEST, LARGEST, GROWING = 0.25, 1.5, 1.25  # radii of discs, in thicknesses, and from one to the next
-FAINT, ALIKE = 1e-9, 1e-13  # of the largest square, below which a direction of one disc, of some, is none
+FAINT = 1e-9  # of the largest square, below which a direction of a disc is none
 KEPT, PRODUCTS = 160, 1000  # discs, and their products
 
 
@@ -62,6 +62,8 @@ class DiscWindow:
     def above(self, faint: float) -> DiscWindow:
         """The same by its directions of such a strength alone."""
         r = int(np.sum(self.strength > faint))
+        if r == len(self.strength):
+            return self
         if r not in self._cuts:
             self._cuts[r] = replace(self, basis=self.basis[:, :r], made=self.made[..., :r], _cuts={}, _last=[])
         return self._cuts[r]
@@ -233,7 +235,7 @@ def _over(f: Array, *parts: Array) -> Array:
     return lower(f, half).reshape(r, -1, r).transpose(1, 0, 2)
 
 
-def pivoted(G: Array, cut: float = ALIKE) -> tuple[Index, Array]:
+def pivoted(G: Array, cut: float) -> tuple[Index, Array]:
     """Which of N directions are enough (r,), and all of them (N, r) in coordinates of these, by products G (N, N)."""
     if not len(G):
         return np.empty(0, int), np.empty((0, 0))
