@@ -50,14 +50,14 @@ class TestFiveHits:
 
 
 class TestOtherPriors:
-    def test_few_short_pulses_come_close_on_the_hits(self, hits):
-        others = hammer_log.under_other_priors((1, 2), signs=False)
-        found = [few for few, _ in others]
-        assert np.mean([h.error() for h in found]) <= 0.05
-        assert all(few.error() < 1.3 * plain.error() for few, plain in zip(found, hits[:2], strict=True))
-        assert max(h.error(slice(80)) for h in found) <= 0.03
-        assert all(h.estimate.facts["gap"] <= 1e-6 for h in found)
-        assert "few B-splines" in hammer_log.priors(hits[:2], others)
+    def test_few_short_pulses_come_close_on_a_hit(self, hits):
+        others = hammer_log.under_other_priors((1,), signs=False)
+        ((few, _),) = others
+        assert few.error() <= 0.05
+        assert few.error() < 1.3 * hits[0].error()
+        assert few.error(slice(80)) <= 0.03
+        assert few.estimate.facts["gap"] <= 1e-6
+        assert "few B-splines" in hammer_log.priors(hits[:1], others)
 
 
 class TestTwoHits:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import cholesky, solve_triangular
 
 from structures._flags import Flag
+from structures._threads import one_thread
 from structures.errors import InputError, reals
 
 from .. import _guards as guards
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 NAMES = ("E", "nu", "thickness")
 UNKNOWN = Tolerances(E=0.5, nu=0.1, thickness=0.2)
-NU_STEP, H_STEP = 0.004, 0.01  # of nu and log thickness, for differences; E is a gain
+STEPS = np.array([-0.004, 0.01])  # of nu, of which there is always a smaller one, and log thickness; E is a gain
 BESIDE = (2e-5, 2e-5, 0.05)  # of place (m) and log radius of a press
 FURTHEST = np.array([0.4, 0.04, 0.12])  # steps of log E, nu, log thickness
 BEGIN, RADIUS = 0.4, 0.7  # radius of a press over the thickness to begin with, and the std of its logarithm
@@ -94,6 +95,7 @@ class InSitu:
         return "\n".join([*lines, f"motion within {self.misfit:.2f} std{held}", *map(str, self.flags)])
 
 
+@one_thread()
 def in_situ(
     build: Callable[[Pad], MultilayerPad],
     pad: Pad,
@@ -315,7 +317,8 @@ class _Weights:
 class _Fit:
     """Gauss-Newton over log E, nu, log thickness, place and log radius of every press, and the error of the mesh.
 
-    Weights and the error of the mesh, which go with the contacts, are held while it settles, and then found anew.
+    Weights, the error of the mesh, and the pads whose differences are the sensitivities to nu and thickness are held
+    while it settles, and then found anew: a pad is dear to condense.
     """
 
     def __init__(self, sensor: MultilayerPad, prior: Tolerances, presses: _Presses) -> None:
@@ -332,9 +335,8 @@ class _Fit:
         """The model at log E, nu, log thickness, on a mesh of the same topology."""
         return _Forward(self.sensor, changed(self.sensor.pad, at))
 
-    def weights(self) -> list[_Weights]:
-        """Of every press, here."""
-        base = self.forward(self.at)
+    def weights(self, base: _Forward) -> list[_Weights]:
+        """Of every press, on the pad as it is here."""
         other = finer(base.pad)
         fine = None if other is None else _Forward(self.sensor, other)
         out = []
@@ -344,18 +346,15 @@ class _Fit:
             out.append(_Weights(*self.presses.whitener(base, k, contact), mesh))
         return out
 
-    def step(self, weights: Sequence[_Weights]) -> _Step:
-        """Residuals and sensitivities here."""
-        base = self.forward(self.at)
-        others = [self.forward(self.at + d) for d in np.diag(self._steps())[1:]]
+    def step(self, base: _Forward, weights: Sequence[_Weights], pads: Sequence[_Forward]) -> _Step:
+        """Residuals and sensitivities here; `pads` is one, and it with another nu and another thickness."""
         count = len(self.presses.y)
         rests, slopes = [], []
         for k, (contact, force, w) in enumerate(zip(self.contacts, self.presses.forces, weights, strict=True)):
-            here = base.press(contact) @ force
+            here, *varied = (pad.press(contact) @ force for pad in (base, *pads))
             columns = np.zeros((len(here), 4 + 3 * count))
             columns[:, 0] = -here
-            for i, (other, d) in enumerate(zip(others, self._steps()[1:], strict=True), 1):
-                columns[:, i] = (other.press(contact) @ force - here) / d
+            columns[:, 1:3] = (np.stack(varied[1:], axis=1) - varied[0][:, None]) / STEPS
             for j, moved in enumerate(_beside(contact)):
                 columns[:, 3 + 3 * k + j] = (base.press(moved) @ force - here) / BESIDE[j]
             columns[:, -1] = w.mesh
@@ -365,9 +364,10 @@ class _Fit:
             slopes.append(white[:, 1:])
         return _Step(np.concatenate(rests), np.concatenate(slopes))
 
-    def _steps(self) -> Array:
-        """Of log E, nu, log thickness; towards smaller nu, of which there is always one."""
-        return np.array([1.0, -NU_STEP, H_STEP])
+    def varied(self, base: _Forward) -> list[_Forward]:
+        """The pad as it is here, and with another nu and another thickness."""
+        nu, thickness = np.diag(STEPS)
+        return [base, self.forward(self.at + np.r_[0.0, nu]), self.forward(self.at + np.r_[0.0, thickness])]
 
     def prior(self) -> tuple[Array, Array]:
         """Rows of what was declared, and of radii."""
@@ -393,14 +393,16 @@ class _Fit:
     def run(self) -> tuple[_Step, float]:
         """To the minimum: residuals and sensitivities there, and the rms of what is left."""
         for _ in range(TURNS):
-            before, weights = self.at, self.weights()
+            before, base = self.at, self.forward(self.at)
+            weights, pads = self.weights(base), self.varied(base)
             for _ in range(ROUNDS):
-                found = self.step(weights)
+                found = self.step(base, weights, pads)
                 step, covariance = self.solved(found, 1.0)
                 small = ENOUGH * np.sqrt(np.diag(covariance)[:3])
                 if np.all(np.abs(step[:3]) <= small):
                     break
                 self._go(step)
+                base = self.forward(self.at)
             self.unsteady = self.at - before
             if np.all(np.abs(self.unsteady) <= small):
                 break

@@ -143,11 +143,11 @@ def test_the_band_holds_the_scatter_of_the_hits_and_what_is_stated_of_gains() ->
     one = hammer.problem(9901)
     k = int(np.argmax(np.abs(one.truth[:, 0])))
     shares = []
-    for gain in (0.0, 0.01, 0.1):
+    for gain in (0.0, 0.1):
         found = Deconvolution(one.model, noise=Noise(errors={"gain": gain})).estimate(one.record, one.dt)
         shares.append(found.std[k, 0] / abs(found.load[k, 0]))
-    assert shares[0] < shares[1] < shares[2]
-    assert shares[2] > 0.08
+    assert shares[0] < 0.06
+    assert shares[1] > 0.08
     np.testing.assert_allclose(np.diag(one.model.gain_covariance) ** 0.5, hammer.GAIN, rtol=0.9)
     part = one.model.with_sensors([0])
     np.testing.assert_allclose(part.gain_covariance, one.model.gain_covariance[:1, :1])

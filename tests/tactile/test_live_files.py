@@ -236,7 +236,7 @@ def test_kills_keep_state_and_recordings(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     rng, reached = np.random.default_rng(0), 0
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    for k in range(3):
+    for k in range(2):
         process = subprocess.Popen([sys.executable, "-c", ENDLESS.format(root=str(ROOT))], cwd=tmp_path, text=True,
                                    stdout=subprocess.PIPE, env=env)  # fmt: skip
         assert process.stdout is not None
@@ -259,7 +259,7 @@ def test_kills_keep_state_and_recordings(tmp_path: Path) -> None:
             assert kept[0] == first
             assert kept == list(range(first, first + len(kept)))
             assert len(kept) > 20
-    assert len(list(replay(tmp_path / "run.h5", speed=None))) > 60  # all parts in turn
+    assert len(list(replay(tmp_path / "run.h5", speed=None))) > 40  # all parts in turn
 
 
 # -- messages ---------------------------------------------------------------------------------------------------------
