@@ -21,11 +21,12 @@ from structures.errors import NotIdentifiable
 
 from .. import _guards as guards
 from .._guards.inversion import windows_apart
-from .._inverse.choice import Choice, residual_level, unexplained, ungraded
+from .._inverse.choice import Choice, ungraded
 from .._inverse.diagnosis import identifiability
 from .._inverse.diagnosis.faults import LineTimes, drifting, told_apart
 from .._inverse.diagnosis.leave_one_out import FLOOR, LeftOut, SensorLines, left_out, unlikely
 from .._inverse.diagnosis.suspects import prepared, suspect
+from .._inverse.noise_level import residual_level, unexplained
 from .._inverse.path import RegularizationPath, Solution
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance

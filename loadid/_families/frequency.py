@@ -17,8 +17,9 @@ from structures.errors import InputError, NotIdentifiable, positive
 from .. import _guards as guards
 from .._guards import families as told
 from .._guards import vibration as spectral
-from .._inverse.choice import CLEARLY, named
+from .._inverse.choice import named
 from .._inverse.discrepancy import FLOOR, Discrepancy
+from .._inverse.noise_level import CLEARLY
 from .._inverse.posterior import SpectralPosterior
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts

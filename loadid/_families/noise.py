@@ -12,7 +12,8 @@ from structures._advice import Advice, Spelling
 from structures._model import Model
 from structures.errors import InputError
 
-from .._inverse.choice import Choice, residual_level, shown_level
+from .._inverse.choice import Choice
+from .._inverse.noise_level import residual_level, shown_level
 from .._inverse.path import PathPoint, RegularizationPath
 from .._inverse.problem import NOT_KNOWN, STATED, Cholesky, NoiseSource
 from .._quality import noise_std

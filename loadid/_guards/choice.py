@@ -12,7 +12,8 @@ from structures._flags import Evidence, Flag, collect
 from structures.errors import InputError
 
 from .._inverse import Array
-from .._inverse.choice import BELOW, Choice, contenders, parted
+from .._inverse.agreement import BELOW
+from .._inverse.choice import Choice, contenders, parted
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.constrained.solver import ConstrainedSolution
 from .._inverse.path import RegularizationPath

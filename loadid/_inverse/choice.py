@@ -1,4 +1,4 @@
-"""How lambda was chosen: what every rule said, how far they agree, and what that agreement is worth."""
+"""How lambda is chosen, and what that choice was: the rules, in their order, and what may take their place."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
 from structures._advice import Advice, Spelling
 from structures.errors import InputError, real, shown
 
 from . import Array, rules
+from .agreement import GRADES, agreement, is_correlated, spends, voices, whiteness_of
+from .noise_level import contradicted, implausible
 from .path import PathPoint, RegularizationPath
 from .problem import NOT_KNOWN, NoiseSource, NoiseSourceLike
 from .rules import Rule, answered, in_words
-from .sweep import ALARM, LARGEST, TESTABLE, Refusal, RuleResult, Sweep, plateau_test, residual_test, smallest_seen
+from .sweep import LARGEST, Refusal, RuleResult, Sweep
 
 ChoiceLike = str | Rule | float | None  # name of a rule, a rule, a relative lambda, or nothing said
 
@@ -108,28 +109,16 @@ DEFAULT_RULES = (
     "quasi_optimality",
     "evidence",
 )
-GRADES = ("determined", "usable", "rules disagree", "not determined")
-LIMITS = (0.5, 1.0, 2.0)  # decades between the grades
-KINDS = (("gcv", "robust_gcv"), ("quasi_optimality",), ("discrepancy",))  # the first of each that ran has its voice
-BENEATH = 0.03  # share of the smallest singular value below which the load no longer changes
 ORDERS = {
     False: ("predicted_error", "robust_gcv", "gcv", "l_curve"),
     True: ("predicted_error", "discrepancy", "upre", "gcv", "l_curve"),
 }
 EXPLAINING = ("predicted_error", "robust_gcv", "evidence")  # of which one stands in for a fit that explains too little
-WIDE, NEAR = 0.2, 1.0  # share of the data that a wide-band load spends; decades within which UPRE then refines it
-BELOW = 0.7  # decades by which a whiteness rule lies below quasi-optimality where it may follow correlated noise
-CHANCE, CLEARLY = 1e-2, 1.3  # of a residual so far above the stated noise; and how far at least
-EXCESS = 1e-3  # chance of a residual so far above the noise that the load does not explain its data
-CORNER = 1.5  # decades by which the corner of the L-curve lies below the lambda in use where it has a voice
-FACTOR, LARGER = 30.0, 100.0  # Bayes factor that counts as strong; largest noise level that is tried, over the stated
-SPARE, TESTED = 0.2, 10  # share of the data, or number, that a fit leaves for the test of the stated noise level
-BELOW_BY = 3.0  # steps of lambda below a sweep over a part of the range
+NEAR = 1.0  # decades within which UPRE refines a load that spends much of the data
 RULED_OUT, FAR = 1e-4, 1.5  # evidence over that of the lambda in use; residual over what it leaves, or the noise
 NOISY = 0.25  # rms of a residual over that of the data beyond which noise that nobody stated is not what is left
 IMPERFECT, SWOLLEN = 0.1, 3.0  # share of the data (rms) that every model may leave; size of a load over a smoother one
 EARNED = 10.0  # residual that a degree of freedom takes, over what is left for each, from which it is no error
-CALM, FEW, MANY = 0.9, 0.25, 300  # a residual so far inside its limit, and so many data left: the noise is white
 
 
 def choose(
@@ -316,171 +305,6 @@ def named(choice: ChoiceLike) -> str | float | None:
     return rules.name_of(choice) if isinstance(choice, str) or callable(choice) else choice
 
 
-def contradicted(sweep: Sweep, asked: dict[str, RuleResult], source: NoiseSource) -> float | None:
-    """Noise level that the data show, where chance cannot explain that it is above the stated one.
-
-    White noise above the stated level shows in the residual of every fit; a load that its penalty does not expect only
-    in those that smooth too much. So every lambda must contradict whose fit leaves `TESTED` data, or `SPARE` of them:
-    by a chi-square test at `CHANCE` with those degrees of freedom, and by a factor of at least `CLEARLY`. None where
-    few data can all be spent on the load, so that every fit that leaves some may be smoother than it, and the evidence
-    does not ask for more noise either (as in `implausible`); where robust GCV, which would have to stand in, found no
-    optimum or one that spends more (a fit that leaves enough is then smoother than the load, and leaves some of it);
-    and where the level itself was estimated from the misfit of the model (kind ``residual``).
-    """
-    path, sigma, found, left = sweep.path, sweep.sigma, asked["robust_gcv"], sweep.point.left
-    if sigma is None or left is None or found.lam is None or found.edge or source.kind == "residual":
-        return None
-    enough = np.flatnonzero(left >= SPARE * path.m)
-    if not len(enough) or sweep.lam[enough[0]] > found.lam:
-        return None
-    least = min(SPARE * path.m, TESTED)
-    if left[0] < 1 and least < TESTED and (more := _level_asked_for(sweep)) is not None and more[1] < np.log(FACTOR):
-        return None
-    level, margin = _levels(sweep, np.flatnonzero(left >= least))
-    if np.any(level <= margin * sigma) or _agrees_below(sweep, least):
-        return None
-    return float(level.min())
-
-
-def _agrees_below(sweep: Sweep, least: float) -> bool:
-    """Whether a lambda below those of a sweep over a part of the range agrees with the stated noise level."""
-    assert sweep.point.left is not None
-    assert sweep.sigma is not None
-    low, lam, left = sweep.path.range[0], float(sweep.lam[0]), float(sweep.point.left[0])
-    while left >= least and lam > low:
-        lam = max(lam / BELOW_BY, low)
-        lower = Sweep(sweep.path, np.array([lam]), sweep.path.at(np.array([lam])), sweep.sigma, whole=False)
-        assert lower.point.left is not None
-        left = float(lower.point.left[0])
-        level, margin = _levels(lower, np.flatnonzero(lower.point.left >= least))
-        if np.any(level <= margin * sweep.sigma):
-            return True
-    return False
-
-
-def _passed(sweep: Sweep) -> bool:
-    """Whether the stated noise level agrees with a residual of `TESTED` data or more."""
-    if sweep.point.left is None or sweep.sigma is None:
-        return False
-    level, margin = _levels(sweep, np.flatnonzero(sweep.point.left >= TESTED))
-    return bool(np.any(level <= margin * sweep.sigma))
-
-
-def _levels(sweep: Sweep, at: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Noise level that the residual shows at some lambdas of a sweep, and how far above the true one it may be."""
-    from scipy.special import gammaincinv
-
-    assert sweep.point.left is not None
-    freedom = sweep.point.left[at]
-    level = np.sqrt(sweep.point.residual2[at] / freedom)
-    return level, np.maximum(CLEARLY, np.sqrt(2 * gammaincinv(freedom / 2, 1 - CHANCE) / freedom))
-
-
-def implausible(sweep: Sweep, source: NoiseSource) -> float | None:
-    """Noise level that the evidence asks for, where it makes the stated one implausible.
-
-    Says what `contradicted` cannot where a few data are all spent by the fit: a larger level, log-uniform up to
-    `LARGER` times the stated one, over every lambda against the stated one over every lambda (a Bayes factor above
-    `FACTOR`; Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773). None where the path does not give its evidence, and
-    where the level passed a test with `TESTED` data left: the evidence of a load unlike its prior would be no more.
-    """
-    if sweep.sigma is None or source.kind == "residual" or (found := _level_asked_for(sweep)) is None or _passed(sweep):
-        return None
-    level, factor = found
-    return level if factor > np.log(FACTOR) and level > CLEARLY * sweep.sigma else None
-
-
-def _level_asked_for(sweep: Sweep) -> tuple[float, float] | None:
-    """Noise level of the largest evidence over every lambda, from the stated one upwards; ln of their Bayes factor."""
-    point, sigma = sweep.point, sweep.sigma
-    if sigma is None or point.objective is None or point.log_ratio is None:
-        return None
-    if sweep.path.stacked or not sweep.whole:
-        return None
-    from scipy.special import logsumexp
-
-    inside = sweep.lam <= 1.0
-    levels = sigma * np.geomspace(1.0, LARGER, 60)
-    fit = point.objective[inside, None] / levels**2
-    log = -0.5 * (point.log_ratio[inside, None] + fit) - (sweep.path.m - sweep.path.null) * np.log(levels)
-    each = logsumexp(log, axis=0)
-    return float(levels[np.argmax(each)]), float(logsumexp(each) - np.log(len(levels)) - each[0])
-
-
-def whiteness_of(path: RegularizationPath, asked: dict[str, RuleResult], lam: float) -> dict[str, float]:
-    """What speaks for and against white noise at a chosen lambda; only what could be tested.
-
-    Returns
-    -------
-    dict
-        ``below``: decades by which the chosen lambda lies below quasi-optimality. ``fine``, ``coarse``: statistic of
-        the residual (`residual_test`) over its limit, at the chosen lambda and at the larger of the two.
-        ``spent``, ``left``: degrees of freedom at the chosen lambda over the data, and data beyond them. ``chance``:
-        of the data coefficients' plateau at the larger lambda under white noise; ``modes``: how many noise modes it
-        has. ``followed`` (1 or 0): the chosen lambda follows what may be correlated noise.
-    """
-    quasi = asked["quasi_optimality"].lam
-    larger = max(lam, quasi or 0.0)
-    found: dict[str, float] = {}
-    if quasi is not None and lam > 0 and not asked["quasi_optimality"].edge:
-        found["below"] = float(np.log10(quasi / lam))
-    fine = residual_test(path, lam)
-    coarse = residual_test(path, larger) if larger > lam else fine
-    if fine is not None and coarse is not None:
-        found |= {"fine": fine.statistic / fine.threshold, "coarse": coarse.statistic / coarse.threshold}
-        found |= {"spent": fine.spent, "left": (1 - fine.spent) * path.m}
-    if (plateau := plateau_test(path, larger)) is not None:
-        own = plateau if larger == lam else plateau_test(path, lam)
-        chance = max(plateau.chance, 0.0 if own is None else own.chance)
-        found |= {"modes": float(plateau.modes), "chance": chance}
-    calm = found.get("fine", np.inf) < CALM and (found["spent"] < FEW or found["left"] >= MANY)
-    found["followed"] = float(found.get("below", 0.0) > BELOW and found.get("coarse", 0.0) > 1 and not calm)
-    return found
-
-
-def is_correlated(evidence: Mapping[str, float]) -> bool:
-    """Whether the tests say that the noise is correlated."""
-    uneven = evidence.get("modes", 0.0) >= TESTABLE and evidence.get("chance", 1.0) < ALARM
-    return bool(evidence.get("followed", 0.0)) or uneven
-
-
-def agreement(
-    asked: dict[str, RuleResult], used: float, path: RegularizationPath | None = None, correlated: bool = False
-) -> tuple[float, str]:
-    """Spread in decades between rules of different kinds and the lambda in use, and the verdict.
-
-    Rules of one kind fail together, so each kind has one voice: GCV for those that ask for white noise,
-    quasi-optimality for those that do not (none where it ends below), discrepancy where the noise level is known (none
-    where the load spends much of the data: it then smooths more than any other).
-    Where the load no longer changes, above the largest and far below the smallest singular value, no distance is
-    counted. Correlated noise leaves no better verdict than ``rules disagree``. Where the noise level is not known,
-    a corner of the L-curve far below the lambda in use has a voice too.
-    """
-    smallest = None if path is None else smallest_seen(path)
-    low, high = (0.0, np.inf) if smallest is None else (BENEATH * float(smallest), 1.0)
-    each = voices(asked, used, path)
-    lams = [used, *(lam for lam in each if lam is not None)]
-    if len(lams) == 1:
-        return float("inf"), "not determined"
-    spread = float(np.ptp(np.log10(np.clip(lams, max(low, np.finfo(float).tiny), high))))
-    grade = int(np.searchsorted(LIMITS, spread, side="right"))
-    if None in each[:2]:
-        grade = max(grade, 1)
-    return spread, GRADES[max(grade, 2) if correlated else grade]
-
-
-def voices(asked: Mapping[str, RuleResult], used: float, path: RegularizationPath | None = None) -> list[float | None]:
-    """Lambda of each kind of rule, None where it has no voice, as `agreement` counts them."""
-    found = [next((asked[name].lam for name in kind if asked[name].lam is not None), None) for kind in KINDS]
-    if path is not None and _spends(path, used):
-        found[2] = None
-    if asked["quasi_optimality"].edge and (found[1] or 0.0) < 0.5:
-        found[1] = None
-    if _cornered(asked, used):
-        found.append(asked["l_curve"].lam)
-    return found
-
-
 def contenders(choice: Choice, path: RegularizationPath | None = None) -> list[float]:
     """Lambdas of the rules that the data do not rule out: `voices`, or what other rules found inside their range.
 
@@ -529,17 +353,6 @@ def parted(choice: Choice, path: RegularizationPath, lams: Iterable[float | None
     return max(moved, default=0.0) / max(float(np.linalg.norm(own)), np.finfo(float).tiny)
 
 
-def _cornered(asked: Mapping[str, RuleResult], used: float) -> bool:
-    """Whether, without a noise level, the L-curve has its corner far below the lambda in use.
-
-    A wrong corner is more frequent than a wrong lambda, so that it counts from `CORNER` decades only.
-    """
-    corner, known = asked["l_curve"], asked["discrepancy"].lam is not None
-    if known or corner.lam is None or corner.edge or used <= 0:
-        return False
-    return corner.lam < 10**-CORNER * used
-
-
 def _pick(
     path: RegularizationPath, choice: str | float | None, asked: dict[str, RuleResult], sigma: float | None,
     refine: bool = True,
@@ -561,7 +374,7 @@ def _pick(
         )
     first, upre = running[0], asked["upre"]
     refined = refine and first.rule == "predicted_error" and upre.lam is not None and not (upre.edge or first.edge)
-    if refined and _spends(path, answered(first)) and answered(upre) > 10**-NEAR * answered(first):
+    if refined and spends(path, answered(first)) and answered(upre) > 10**-NEAR * answered(first):
         first = upre
     return answered(first), first.rule
 
@@ -611,12 +424,6 @@ def moved(choice: Choice, path: RegularizationPath, lam: float) -> Choice:
     return replace(given_now, spread=spread, verdict=verdict, odds=odds, whiteness=evidence, correlated=correlated)
 
 
-def _spends(path: RegularizationPath, lam: float) -> bool:
-    """Whether the solution takes more than a fifth of the data as degrees of freedom."""
-    edf = path.at(lam).edf
-    return edf is not None and float(edf) > WIDE * path.m
-
-
 def _with_sensitivity(found: RuleResult, sweep: Sweep) -> RuleResult:
     """The discrepancy rule with what it says at half and twice the noise level."""
     try:
@@ -628,33 +435,6 @@ def _with_sensitivity(found: RuleResult, sweep: Sweep) -> RuleResult:
     return replace(found, note=f"{found.note}; {note}" if found.note else note)
 
 
-def unexplained(residual2: float, m: float, sigma: float) -> float | None:
-    """Residual over the noise, where no noise of that level leaves so much; None where it may.
-
-    The rms of all m data counts, whatever the fit has spent: noise alone leaves less. A chi-square test at `EXCESS`,
-    and a factor of at least `CLEARLY`, as stated noise levels are rough.
-    """
-    from scipy.special import gammaincinv
-
-    level = float(np.sqrt(residual2 / m)) / sigma
-    return level if level > max(CLEARLY, float(np.sqrt(2 * gammaincinv(m / 2, 1 - EXCESS) / m))) else None
-
-
 def ungraded(choice: Choice) -> Choice:
     """The choice with the worst grade: of a load that does not explain its data."""
     return replace(choice, verdict=GRADES[-1], odds="the load does not explain its data: no agreement of rules counts")
-
-
-def residual_level(path: RegularizationPath, lam: float) -> float | None:
-    """Noise level of the whitened data that the residual shows, sqrt(|r|^2 / (m - edf)).
-
-    None where the fit leaves less than a fifth of the data: what is left then tells of the prior, not of the noise.
-    """
-    return shown_level(path.at(lam), path.m)
-
-
-def shown_level(point: PathPoint, m: float) -> float | None:
-    """See `residual_level`, of a point of a path of m data."""
-    if point.left is None or float(point.left) < 0.2 * m:
-        return None
-    return float(np.sqrt(point.residual2 / point.left))

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from loadid._guards import collect
 from loadid._guards import parameter as of_lambda
-from loadid._inverse.choice import Choice, ChoiceLike, checked, choose, unexplained
+from loadid._inverse.choice import Choice, ChoiceLike, checked, choose
+from loadid._inverse.noise_level import unexplained
 from loadid._inverse.path import RegularizationPath
 from loadid._inverse.problem import NoiseSource, NoiseSourceLike
 from loadid._results.facts import provenance

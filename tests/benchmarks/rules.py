@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loadid._inverse import penalties, rules
-from loadid._inverse.choice import GRADES, decide
+from loadid._inverse.agreement import GRADES
+from loadid._inverse.choice import decide
 from loadid.paths import Choice, LinearProblem, SVDPath
 
 from .fredholm import NOISES, PROBLEMS

@@ -16,7 +16,8 @@ from loadid import (
     Spectra,
     StaticInversion,
 )
-from loadid._inverse.choice import CLEARLY, GRADES, unexplained
+from loadid._inverse.agreement import GRADES
+from loadid._inverse.noise_level import CLEARLY, unexplained
 from loadid._results.report import fragment
 from structures import ForwardModel, beams, damping, loads, sensors
 

@@ -11,7 +11,8 @@ from loadid import _guards as guards
 from loadid._inverse import choice as choices
 from loadid._inverse import rules
 from loadid._inverse import rules as odds
-from loadid._inverse.choice import DEFAULT_RULES, agreement
+from loadid._inverse.agreement import agreement
+from loadid._inverse.choice import DEFAULT_RULES
 from loadid._inverse.sweep import LARGEST
 from loadid.paths import LinearProblem, PathPoint, RegularizationPath, RuleResult, SVDPath, choose, toeplitz
 from loadid.settings import Penalty

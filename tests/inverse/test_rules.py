@@ -6,7 +6,7 @@ import scipy.stats
 
 from loadid._inverse import rules
 from loadid._inverse import rules as odds
-from loadid._inverse.choice import GRADES
+from loadid._inverse.agreement import GRADES
 from loadid._inverse.convolved.path import SpectralPath
 from loadid.paths import LinearProblem, PathPoint, RegularizationPath, SVDPath, toeplitz
 from structures._testing.spectra import padded_length

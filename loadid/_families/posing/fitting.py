@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from structures.errors import InputError, NotIdentifiable, real, reals
 
-from ..._inverse import choice as choosing
 from ..._inverse import rules
+from ..._inverse.agreement import GRADES, LIMITS
 from ..._inverse.choice import Choice, PathCurve, is_rule
 from ..._inverse.discrepancy import Discrepancy, learned
 from ..._inverse.problem import NoiseSource
@@ -489,6 +489,6 @@ def _agreement(asked: dict[str, RuleResult], used: float) -> tuple[float, str]:
     inside = (asked[name] for name in VOICES)
     lams = [r.lam for r in inside if r.lam is not None and not r.edge]
     if not lams or used <= 0:
-        return float("inf"), choosing.GRADES[-1]
+        return float("inf"), GRADES[-1]
     spread = float(np.ptp(np.log10([used, *lams])))
-    return spread, choosing.GRADES[int(np.searchsorted(choosing.LIMITS, spread, side="right"))]
+    return spread, GRADES[int(np.searchsorted(LIMITS, spread, side="right"))]
