@@ -30,7 +30,7 @@ from ..._inverse.gaussian.steady import SteadyFilter, steady
 from ..._inverse.problem import NOT_KNOWN, NoiseSource
 from .certificate import TrackCertificate
 from .filters import SPREAD, WEIGHT, rescaled, restricted
-from .watch import Usual
+from .windows import Usual
 
 PRIORS = (
     priors.RandomWalk, priors.White, priors.OU, priors.Matern32, priors.Matern52, priors.Periodic, priors.Sum,

@@ -27,9 +27,10 @@ from ..._inverse.gaussian.steady import SteadyFilter
 from .bank import HOP, lifted_of
 from .beginning import HEAD, MovingStart, beginning
 from .engine import Engine, Late
+from .faults import ChannelFault
 from .fit import TrackerFit
 from .samples import Replay, inside
-from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, ChannelFault, Watch
+from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, Watch
 
 PIECES = 40  # at most, then half as many, twice as long
 SHORTEST = 10  # samples of a piece

@@ -21,7 +21,6 @@ before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -31,7 +30,9 @@ from numpy.typing import NDArray
 from ..._guards.tracking import STAYS
 from ..._inverse.gaussian.model import FilterModel, FilterState
 from ..._inverse.gaussian.roots import Array
-from .bank import CHUNK, HOP, REST, SHARE, SLIGHT, WINDOWS, Bits, Lifted, Standby, bounds, lifted_of
+from .bank import CHUNK, HOP, REST, SHARE, SLIGHT, Bits, Lifted, Standby, bounds, lifted_of
+from .faults import ChannelFault, kind_of, stopped
+from .windows import TOP, Usual, Windows, of_others, said
 
 KEPT = 16  # hops behind the present one at which channels may have been swapped
 SURE = 80.0  # -2 log of the likelihood ratio, at least
@@ -51,40 +52,6 @@ FOUND = 2  # the same where other channels are there than before
 JUMPED = 4  # hops that no channel explains, after which the state may have jumped
 BACK = 5  # hops of good predictions after which a channel is believed again
 WITHIN = 1.5  # times the variance of the fit, of a good prediction
-KINDS = ("wrong", "offset", "drift", "stuck", "dead", "swapped")
-
-
-@dataclass(frozen=True, eq=False)
-class Usual:
-    """What the record of a fit gave.
-
-    Parameters
-    ----------
-    squares : array (filters,)
-        Mean normalised square of an innovation.
-    own : array (filters,)
-        Of the channel that is left out.
-    most : array (m,)
-        Largest likelihood ratio against each channel.
-    loudest : float
-        Largest normalised squares of a window, over their mean.
-    calm : array (windows, any), optional
-        `bank.bounds`; without them nothing sleeps.
-    """
-
-    squares: Array
-    own: Array
-    most: Array
-    loudest: float
-    calm: Array | None = None
-
-
-def _of(known: Usual, bank: Lifted, other: Lifted) -> Usual:
-    """What is usual for the filters of another bank, of which each channel that is there has its own in both."""
-    rows = np.array([bank.groups[i + 1, int(np.any(other.out[:k] == i))] for k, i in enumerate(other.out)])
-    found = rows < len(bank.out)
-    squares, own = (np.where(found, x[np.minimum(rows, len(bank.out) - 1)], 1.0) for x in (known.squares, known.own))
-    return Usual(squares, own, known.most, known.loudest)
 
 
 FEWEST = 10  # hops of a record, from which it tells what is usual
@@ -106,7 +73,8 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
             continue
         light.look(start.x[0], hop)
         if start.judge(hop) and k >= first:
-            sums.append((start.squares[-1].copy(), start.counts[-1].copy(), start.apart[-1].copy()))
+            kept = start.windows
+            sums.append((kept.squares[-1].copy(), kept.counts[-1].copy(), kept.apart[-1].copy()))
             if len(light.found) and light.found.max() < TOP:
                 seen.append(light.found[0])
     if len(sums) < FEWEST:
@@ -115,7 +83,7 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
     level = np.maximum(squares.sum(axis=0) / np.maximum(counts.sum(axis=0), 1), 1e-12)
     there = np.maximum(apart[:, 0].sum(axis=0), 1)
     own = np.maximum(apart[:, 2].sum(axis=0) / there, 1e-12)
-    again = Watch(model, bank, Usual(level, own, np.zeros(model.m), 1.0))
+    again = Windows(bank, Usual(level, own, np.zeros(model.m), 1.0))
     most, loudest = np.zeros(model.m), 1.0
     for s, c, a in sums:
         again.keep(s, c, a)
@@ -123,27 +91,6 @@ def usual(model: FilterModel, Y: Array) -> Usual | None:
         most, loudest = np.maximum(most, ratios.max(axis=0)), max(loudest, loud)
     least = SURE + MORE * float(most.min())
     return Usual(level, own, most, loudest, bounds(np.array(seen), model.m - light.own, least) if seen else None)
-
-
-@dataclass(frozen=True)
-class ChannelFault:
-    """A channel that is wrong.
-
-    Parameters
-    ----------
-    channel : int
-    other : int
-        With which it is swapped, else -1.
-    kind : str
-        One of `KINDS`.
-    sample : int
-        Before which it was named.
-    """
-
-    channel: int
-    other: int
-    kind: str
-    sample: int
 
 
 class Watch:
@@ -172,12 +119,9 @@ class Watch:
         self._all, self._fitted = bank, usual
         self.x = np.tile(bank.x0, (q, 1))
         self.count, self.filled, self.buffer = 0, 0, np.zeros((HOP, m))
-        self.squares, self.counts = np.zeros((0, q)), np.zeros((0, q))  # of the last hops, of used channels
-        self.apart = np.zeros((0, 4, q))  # of left-out ones: how many, sums, squares, moments about the middle
         self.past = np.zeros((0, HOP, m))  # samples of the last hops, and the predictions before them
         self.before = np.zeros((0, len(bank.x0)))
         self.order = np.arange(m)
-        self._hops = np.array(WINDOWS)
         self._take(bank)
         self.light = None if usual.calm is None else Standby(bank, model.LQ, usual.calm, SHARE * FARTHEST * self.most)
         self.blind, self.unseen = 0, 0  # hops to come that tell nothing, as cells are missing; samples of such so far
@@ -199,9 +143,9 @@ class Watch:
 
     def _take(self, bank: Lifted) -> None:
         """Judge by the filters of a bank: those of all channels, or of the ones that are there."""
-        self.bank, self.usual = bank, self._fitted if bank is self._all else _of(self._fitted, self._all, bank)
-        self._level = np.log(self.usual.squares)
-        self._own = np.where(bank.out < 0, 0.0, 2 * np.log(bank.own) + 1)
+        self.bank = bank
+        self.usual = self._fitted if bank is self._all else of_others(self._fitted, self._all, bank)
+        self.windows = Windows(bank, self.usual)
 
     # -- samples ----------------------------------------------------------------------------------------------------
     @property
@@ -373,7 +317,6 @@ class Watch:
         self._take(bank)
         self.x = np.tile(bank.x0, (len(bank.out), 1))
         self._forget()
-        self.squares, self.counts, self.apart = (np.zeros((*s, len(bank.out))) for s in ((0,), (0,), (0, 4)))
         if self.held is not None and not bank.watched[self.held.channel]:
             self.held, self.masked = None, False
         self.early, self.settling = FOUND, True
@@ -391,7 +334,7 @@ class Watch:
             self.x = np.where(np.isfinite(self.x).all(axis=1, keepdims=True), self.x, self.bank.x0)
         if blind:
             return False
-        self.keep(*self.said(z, Y, self.bank.out))
+        self.windows.keep(*said(z, Y, self.bank.out))
         size = self.x[np.minimum(self.bank.hypotheses, len(self.x) - 1)] @ self.bank.Cp.T / self.most
         self.reached = np.concatenate([self.reached[1 - REACHED :], np.sum(size**2, axis=1)[None]])
         return True
@@ -433,53 +376,14 @@ class Watch:
             z = np.nan_to_num(z)
         return np.asarray(np.add.reduce(z * z, axis=1) / z.shape[1] / self.usual.squares[0])
 
-    def said(self, z: Array, Y: Array, out: NDArray[np.int_]) -> tuple[Array, Array, Array]:
-        """Squares and number of the innovations of used channels; number, sum, squares, moment of left-out ones."""
-        there = np.isfinite(Y)
-        if not there.all() or not np.abs(z).max() < TOP:
-            z = np.clip(np.nan_to_num(z, nan=TOP), -TOP, TOP)
-        number, left = there.sum(axis=0), out >= 0
-        own = z[np.arange(len(z)), :, np.maximum(out, 0)] * left[:, None]
-        squares = np.einsum("ij,ij->i", own, own)
-        counts = np.where(left, number[np.maximum(out, 0)], 0)
-        total = np.einsum("ijk,ijk->i", z, z) - squares
-        return total, number.sum() - counts, np.array([counts, own.sum(axis=1), squares, own @ MIDDLE])
-
-    def keep(self, squares: Array, counts: Array, apart: Array) -> None:
-        """One more hop, of the last ones that windows ask for."""
-        most = max(WINDOWS) - 1
-        self.squares = np.concatenate([self.squares[-most:], squares[None]])
-        self.counts = np.concatenate([self.counts[-most:], counts[None]])
-        self.apart = np.concatenate([self.apart[-most:], apart[None]])
-
-    def ratios(self) -> tuple[Array, float, Array]:
-        """Against each channel in each window, how loud the samples are, and without each channel: (windows, m)."""
-        bank, u = self.bank, self.usual
-        hops = self._hops[self._hops <= len(self.squares)]
-        squares, counts, apart = (np.add.accumulate(x[::-1])[hops - 1] for x in (self.squares, self.counts, self.apart))
-        cost = squares / u.squares + counts * self._level + (hops * HOP)[:, None] * bank.constant
-        spread = np.log(np.maximum(apart[:, 2] / np.maximum(apart[:, 0], 1), u.own)) + self._own
-        cost = np.concatenate([cost + apart[:, 0] * spread, np.full((len(hops), 1), np.inf)], axis=1)
-        level = np.concatenate([squares / np.maximum(counts * u.squares, 1), np.full((len(hops), 1), np.inf)], axis=1)
-        best, level = cost[:, bank.groups].min(axis=2), level[:, bank.groups].min(axis=2)
-        found, explained = np.zeros((2, len(WINDOWS), len(best[0]) - 1))
-        found[: len(hops)], explained[: len(hops)] = np.maximum(best[:, :1] - best[:, 1:], -LOUD), level[:, 1:]
-        explained[len(hops) :] = level[-1, 1:]
-        return found, float(level[-1, 0]) if len(self.squares) > 1 else 0.0, explained
-
-    def _last(self) -> float:
-        """How loud the last hop is."""
-        level = self.squares[-1] / np.maximum(self.counts[-1] * self.usual.squares, 1)
-        return float(level[self.bank.out < 0].min())
-
     def decide(self) -> None:
         """Name a channel, or those of which one is wrong, or believe it again."""
-        ratios, loud, explained = self.ratios()
+        ratios, loud, explained = self.windows.ratios()
         if self.held is not None:
             self._returned(self.held)
             return
         usual = self.usual.loudest
-        strange = loud > STRANGE * usual and self._last() > STRANGE * usual  # a spike lies back
+        strange = loud > STRANGE * usual and self.windows.last() > STRANGE * usual  # a spike lies back
         over = ratios > SURE + MORE * self.usual.most
         some: Bits = np.zeros(len(self.order), bool)
         none = False
@@ -493,7 +397,7 @@ class Watch:
             ahead |= np.delete(far, i) > far[i] + UNLIKELY
             ahead |= (lead > SURE) & (np.delete(explained[w], i) > max(STRANGE * usual, AGAIN * explained[w, i]))
             if right[i] and over[w, i]:
-                beyond = self._beyond(i, w)
+                beyond = self.windows.beyond(i, w)
                 lasting = beyond.max() < SPREAD * beyond.sum()
                 if ahead.all() and lasting:
                     if not (strange and self._swap()):  # which explains both with less
@@ -504,10 +408,14 @@ class Watch:
                     strange = False
                 elif lasting:
                     some = right & over[w]
-        if len(self.squares) > 1:
+        if len(self.windows.squares) > 1:
             self.strange = self.strange + 1 if strange else max(self.strange - 1, 0) // 2
-        silent = self._silent() if strange else None
-        if silent is not None and (explained[0, silent] < STRANGE * usual or self.strange >= JUMPED):
+        silent = stopped(self.past, self.bank.there, self.model.LR) if strange else None
+        if (
+            silent is not None
+            and self.bank.watched[silent]
+            and (explained[0, silent] < STRANGE * usual or self.strange >= JUMPED)
+        ):
             self._hold(silent)
             return
         if strange and self.strange >= self.next_swap:
@@ -540,67 +448,29 @@ class Watch:
         likely = 1 / (1 + size) if none and self.strange < 2 else np.exp(-0.5 * (size - size.min(initial=np.inf)))
         self.weights = likely / likely.sum()
 
-    def _beyond(self, i: int, window: int) -> Array:
-        """What the hops of a window have of a channel beyond chance, in squares of its prediction."""
-        its = self.bank.out == i
-        some = self.apart[-max(WINDOWS[window], 2) :][:, :, its]
-        return np.asarray(np.maximum(some[:, 2] / self.usual.own[its] - some[:, 0], 0).min(axis=1))
-
     def _forgive(self, i: int) -> None:
         """Filters that took a few wrong samples of a channel go on from the one that did not."""
         f = self.bank.without(i)
         self.x[self.bank.out != i] = self.x[f]
 
-    def _silent(self) -> int | None:
-        """The one channel that has stopped to move: no other one need tell."""
-        noise = np.linalg.norm(self.model.LR, axis=1)
-        past = np.where(self.bank.there, self.past, 0.0)
-        last, early = past[-1], past[: len(past) // 2]
-        if len(past) < 4 or not np.isfinite(last).all() or not np.isfinite(early).all():
-            return None
-        moved = np.sqrt(np.median(np.var(early, axis=1), axis=0)) > 5 * noise
-        still = moved & ((np.ptp(last, axis=0) < 1e-3 * noise) | (np.std(last, axis=0) < 1.5 * noise))
-        found = np.flatnonzero(still)
-        return int(found[0]) if len(found) == 1 and self.bank.watched[found[0]] else None
-
     def _hold(self, i: int) -> None:
         """Keep a channel out from the next sample on; the filter without it, at usual loads, knows the state."""
         f = self.bank.without(i)
-        self.held, self.good, self.masked = ChannelFault(i, -1, self._kind(i, f), self.count), 0, False
+        noise, sums = float(np.linalg.norm(self.model.LR[i])), self.windows.apart[-2:, :, f]
+        kind = kind_of(self.past[:, :, i], noise, sums, float(self.usual.own[f]))
+        self.held, self.good, self.masked = ChannelFault(i, -1, kind, self.count), 0, False
         self.named.append(self.held)
         self._doubt(np.zeros(len(self.order), bool))
-
-    def _kind(self, i: int, f: int) -> str:
-        """What a channel does, in a word."""
-        last, noise = self.past[-1][:, i], float(np.linalg.norm(self.model.LR[i]))
-        last = last[np.isfinite(last)]
-        if len(last) < 2:
-            return "wrong"
-        before = self.past[: max(len(self.past) // 2, 1), :, i]
-        before = before[np.isfinite(before)]
-        spread = float(np.std(before)) if len(before) else 0.0
-        if np.ptp(last) <= 1e-3 * noise:
-            return "dead" if abs(float(last[0])) <= 1e-3 * noise else "stuck"
-        if np.std(last) < 2 * noise and spread > 5 * noise and abs(np.mean(last)) < 2 * noise:
-            return "dead"
-        number, total, squares, moment = self.apart[-2:, :, f].T
-        number = np.maximum(number, 1)
-        mean = total / number
-        rest = (squares - moment**2 / float(MIDDLE @ MIDDLE)) / number - mean**2
-        if np.all(rest <= 3 * self.usual.own[f]) and np.all(np.abs(mean) > 1):
-            moved = abs(mean[-1] - mean[0])
-            return "drift" if moved > 4 * np.sqrt(self.usual.own[f] * 2 / number[-1]) else "offset"
-        return "wrong"
 
     def _returned(self, fault: ChannelFault) -> None:
         """Believe a channel again that is predicted well for long enough."""
         f = self.bank.without(fault.channel)
-        number, total, squares, _ = self.apart[-1, :, f]
+        number, total, squares, _ = self.windows.apart[-1, :, f]
         usual, number = self.usual.own[f], max(number, 1)
         self.good = self.good + 1 if squares / number <= WITHIN * usual else 0
         if self.good < BACK:
             return
-        number, total, squares, _ = self.apart[-BACK:, :, f].sum(axis=0)
+        number, total, squares, _ = self.windows.apart[-BACK:, :, f].sum(axis=0)
         if total**2 / max(number, 1) > 9 * usual * WITHIN:  # it still has a mean
             return
         self.held, self.good, self.masked = None, 0, False
@@ -640,7 +510,7 @@ class Watch:
             x, levels = np.tile(self.before[-back], (len(usual), 1)), []
             for Y in self.past[-back:]:
                 z, x = bank.hop(x, Y[:, order])
-                total, counts, _ = self.said(z, Y, bank.out)
+                total, counts, _ = said(z, Y, bank.out)
                 levels.append(total / np.maximum(counts * usual, 1))
             last = float(np.mean(levels[-2:], axis=0).min())
             if last < best[0]:
@@ -649,7 +519,7 @@ class Watch:
 
     def _forget(self) -> None:
         """Begin new windows."""
-        self.squares, self.counts, self.apart = self.squares[:0], self.counts[:0], self.apart[:0]
+        self.windows.clear()
         self.past, self.before, self.strange, self.next_swap = self.past[:0], self.before[:0], 0, 2
         self.doubted, self.reached = np.zeros_like(self.doubted), self.reached[:0]
 
@@ -658,20 +528,21 @@ class Watch:
         """Everything that changes, as plain arrays and numbers."""
         faults = [[f.channel, f.other, f.kind, f.sample] for f in self.named]
         return {
-            **{name: getattr(self, name) for name in ARRAYS}, **{name: getattr(self, name) for name in NUMBERS},
+            **{name: getattr(self, name) for name in (*ARRAYS, *NUMBERS)},
+            **self.windows.to_tree(),
             "named": faults, "held": self.held is not None, "there": self.bank.there, "far": self.far,
             "count": self.count + self.filled, "light": None if self.light is None else self.light.to_tree(),
         }  # fmt: skip
 
     def restore(self, tree: dict[str, Any]) -> None:
         """Go on from what `to_tree` gave."""
-        for name in ARRAYS:
-            if name in tree:  # those in doubt are newer than the first files
-                setattr(self, name, np.array(tree[name]))
-        self.doubted, self.suspects = self.doubted.astype(bool), self.suspects.astype(bool)
         there = np.array(tree.get("there", self.bank.there), bool)
         if (bank := lifted_of(self.model, there)) is not None and not np.array_equal(there, self.bank.there):
             self._take(bank)
+        self.windows.restore(tree)
+        for name in set(ARRAYS) & set(tree):  # those in doubt are newer than the first files
+            setattr(self, name, np.array(tree[name]))
+        self.doubted, self.suspects = self.doubted.astype(bool), self.suspects.astype(bool)
         for name in NUMBERS:
             setattr(self, name, int(tree.get(name, 0)))  # the last two are newer than the first files
         self.count -= self.filled  # those of whole hops
@@ -684,12 +555,6 @@ class Watch:
 
 
 HUGE, FAULT, MISFIT, CONTRADICTING = 526, 528, 529, 530  # codes of the guards
-MIDDLE = np.arange(HOP) - (HOP - 1) / 2
-LOUD = 1e9  # -2 log of a ratio, at most
-TOP = 1e6  # normalised innovation, beyond which it is no larger
-ARRAYS = (
-    "x", "buffer", "squares", "counts", "apart", "past", "before", "order", "doubted", "suspects", "either", "weights",
-    "reached",
-)  # fmt: skip
+ARRAYS = ("x", "buffer", "past", "before", "order", "doubted", "suspects", "either", "weights", "reached")
 NUMBERS = ("count", "filled", "good", "strange", "next_swap", "early", "unlike", "kept", "masked", "calm", "asleep",
            "blind", "unseen")  # fmt: skip
