@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -19,6 +20,8 @@ from . import __version__
 from ._commands import Bar, Command, UsageError, printable
 
 __all__ = ["commands", "main", "parsers"]
+
+log = logging.getLogger(__name__)
 
 GROUP = "loadid.commands"
 DONE, USAGE, BAD_INPUT, REFUSED = 0, 2, 3, 4
@@ -94,11 +97,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv[:1] == ["--version"]:  # before anything else is imported
         print(f"loadid {__version__}")
         return DONE
-    as_json = "--json" in argv or "--json-full" in argv
+    as_json = not {"--json", "--json-full", "--log-json"}.isdisjoint(argv)
     try:
         args = _parser().parse_args(argv)
         with _Log(args.log_level, as_json=args.log_json, hushed=args.hushed):
-            return int(args.run(args))
+            return _run(args)
     except UsageError as error:
         return _fail(as_json, USAGE, {"what": str(error)}, str(error))
     except SystemExit as error:  # --help
@@ -115,6 +118,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(as_json, BAD_INPUT, {"what": str(error)}, str(error))
     except KeyboardInterrupt:
         return _fail(as_json, 130, {"what": "interrupted"}, "interrupted")
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run the command, and log that it begins and how it ends."""
+    begun = time.monotonic()
+    log.info("%s begins", args.named)
+    try:
+        code = int(args.run(args))
+    except BaseException as error:
+        log.info("%s fails after %.2f s: %s", args.named, time.monotonic() - begun, type(error).__name__)
+        raise
+    log.info("%s ends with exit code %d after %.2f s", args.named, code, time.monotonic() - begun)
+    return code
 
 
 def commands() -> dict[str, Command]:
@@ -145,14 +161,14 @@ def _parser() -> _Parser:
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"loadid {__version__}")
-    _add_common(parser, json=False, log_level="warning", log_json=False, hushed=False)
+    _add_common(parser, json=False, log_level=None, log_json=False, hushed=False)
     listed = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_Parser)
     for name, command in commands().items():
         sub = listed.add_parser(name, help=command.help, description=command.help, allow_abbrev=False,
                                 conflict_handler="resolve")  # fmt: skip
         _add_common(sub)
         sub.configure = command.configure
-        sub.set_defaults(run=command.run)
+        sub.set_defaults(run=command.run, named=name)
     return parser
 
 
@@ -176,15 +192,15 @@ def _add_common(parser: argparse.ArgumentParser, **defaults: Any) -> None:
 
     add("--json", action="store_true", help="print one JSON value; errors as JSON on standard error")
     add("-q", "--quiet", dest="hushed", action="store_true", help="print nothing but errors")
-    add("--log-level", choices=LEVELS, help="what to log on standard error; default warning")
-    add("--log-json", action="store_true", help="log as lines of JSON")
+    add("--log-level", choices=LEVELS, help="what to log on standard error; default warning, with --quiet error")
+    add("--log-json", action="store_true", help="log, and say errors, as lines of JSON")
 
 
 class _Log:
-    """Log of the three packages on standard error while a command runs; hushed, it draws no progress."""
+    """Log of the three packages on standard error while a command runs; hushed, or as JSON, without progress."""
 
-    def __init__(self, level: str, *, as_json: bool, hushed: bool) -> None:
-        self.level, self.hushed = level.upper(), hushed
+    def __init__(self, level: str | None, *, as_json: bool, hushed: bool) -> None:
+        self.level, self.hushed = (level or ("error" if hushed else "warning")).upper(), hushed or as_json
         self.handler = logging.StreamHandler()
         plain = LogLines("%(name)s %(levelname)s: %(message)s")
         self.handler.setFormatter(_JsonLines() if as_json else plain)

@@ -47,6 +47,10 @@ class Dataset:
     load: NDArray[Any]
     files: tuple[Path, ...] = ()
 
+    def __repr__(self) -> str:
+        written = f", files {', '.join(map(str, self.files))}" if self.files else ""
+        return f"Dataset({self.record!r}, load {self.load.shape}{written})"
+
 
 def impact(folder: str | os.PathLike[str] | None = None, *, seed: int = 0) -> Dataset:
     """A hit of 200 N on a steel cantilever of 0.3 m, one accelerometer, 20 ms at 20 kHz.

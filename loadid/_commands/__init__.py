@@ -7,6 +7,7 @@ they import what is heavy inside functions.
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import re
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
     from .._record import Record
     from .._results.estimate import LoadEstimate
+
+log = logging.getLogger(__name__)
 
 DICTIONARIES = ("dirac", "bspline", "wavelet")
 STARTS = ("rest", "unknown")
@@ -88,7 +91,11 @@ def exit_code(estimate: LoadEstimate | None) -> int:
 
 
 def say(text: str, *, aside: bool = False) -> None:
-    """Print a line at once, for who reads a pipe; aside (on standard error) what is no answer."""
+    """Print a line at once, for who reads a pipe; aside (on standard error, if not `hushed`) what is no answer."""
+    if aside:
+        log.info("%s", text)
+        if Bar.hushed:
+            return
     print(printable(text), file=sys.stderr if aside else sys.stdout, flush=True)
 
 
@@ -354,9 +361,13 @@ class Bar:
         self.shown = not self.hushed and bool(getattr(self.stream, "isatty", lambda: False)())
         self._last = 0.0
         self._width = 0
+        self._text = ""
 
     def __call__(self, fraction: float, text: str) -> None:
-        """Show that `fraction` (0 to 1) of the work is done, and what is done now."""
+        """Show that `fraction` (0 to 1) of the work is done, and what is done now; log what is new."""
+        if text != self._text:
+            log.debug("%.0f %%: %s", 100 * fraction, text)
+            self._text = text
         now = time.monotonic()
         if not self.shown or (now - self._last < self.interval and fraction < 1):
             return

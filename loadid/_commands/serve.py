@@ -71,7 +71,8 @@ def _told(server: Server) -> dict[str, Any]:
 def _said(server: Server, state: dict[str, Any]) -> str:
     told = _told(server)
     lines = [f"{told['rows']} rows of {len(server.lives)} structures in {state['uptime']:.3g} s"]
-    lines += [f"  {WORDS.get(name, name)}: {value}" for name, value in told["counts"].items()]
+    counts = ", ".join(f"{WORDS.get(name, name)} {value}" for name, value in told["counts"].items())
+    lines += [f"  with earlier runs: {counts}"] if counts else []
     for words, found in (("halted", state["halted"]), ("no source", state["disconnected"])):
         lines += [f"{words}: {name}: {why}" for name, why in list(found.items())[:SHOWN]]
         lines += [f"  and {len(found) - SHOWN} more"] if len(found) > SHOWN else []

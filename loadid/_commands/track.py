@@ -26,6 +26,7 @@ from . import (
     names,
     positive,
     require_outputs,
+    say,
     seconds,
     units,
 )
@@ -290,20 +291,17 @@ ALARMS = {
 }
 
 
-def show_alarm(tracker: Tracker, done: StreamSummary) -> str:
-    """The alarm in which a stream ended, in a line; nothing where it did not."""
-    if done.alarm is None:
-        return ""
-    since, code, channel = done.alarm
+def show_alarm(tracker: Tracker, since: float, code: int, channel: int) -> str:
+    """The alarm in which a stream ended, in a line."""
     named = f" channel {tracker.fitted.sensors[channel - 1].label}" if channel else ""
-    return f"alarm since {since:.6g} s (W{code}):{named} {ALARMS.get(code, '')}\n"
+    return f"alarm since {since:.6g} s (W{code}):{named} {ALARMS.get(code, '')}"
 
 
 def show_fit(record: str, tracker: Tracker) -> str:
     """What a fit has found, in words."""
     f = tracker.fitted
     tuned = ", ".join(f"{name} {value:.4g}" for name, value in f.numbers.items())
-    lines = [f"tuned on {record}: {f.words}", f"{tuned}; noise: {f.noise_source}", str(f.certificate), ""]
+    lines = [f"tuned on {record}: {f.words}", f"{tuned}; noise: {f.noise_source}", str(f.certificate)]
     return "\n".join(lines)
 
 
@@ -440,7 +438,7 @@ def _tracked(args: Namespace, state: StateLock | None, stated: dict[str, str]) -
         known = {c.label for c in tracker.fitted.sensors}
         stated = {name: unit for name, unit in stated.items() if name in known or name.lower() in TIME}
     if fitted and not args.json:
-        sys.stderr.write(show_fit(args.fit, tracker))
+        say(show_fit(args.fit, tracker), aside=True)
     names = [c.label for c in tracker.fitted.loads], [c.unit for c in tracker.fitted.loads]
     screen, past = Screen(*names, sys.stderr), History(*names)
 
@@ -486,7 +484,8 @@ def _told(args: Namespace, tracker: Tracker, done: StreamSummary) -> None:
 
         with redirect_stdout(sys.stderr):  # standard output is the table
             emit(args, data, show(tracker, done))
-    sys.stderr.write(show_alarm(tracker, done))
+    if done.alarm is not None:
+        say(show_alarm(tracker, *done.alarm), aside=True)
 
 
 command = Command("track", "follow a stream of samples with the loads and their stds", _configure, _run)

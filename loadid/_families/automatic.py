@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,13 @@ from structures._testing.welch import CrossSpectra
 from structures.errors import InputError, NotIdentifiable
 
 from .._guards.inversion import UNSEEN
+from .._inverse.svd import SVDPath
 from .._record import Record, Spectra
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts
 from .._spellings import Progress, takes
 from ..settings import Guards, Noise, Penalty, Signal
-from .data import gather, readings
+from .data import Readings, gather, readings
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
 from .local_variance import LONGEST
@@ -158,21 +160,17 @@ class AutomaticInversion:
         def of(penalty: str) -> StaticInversion:
             return StaticInversion(self.model, penalty=penalty, **told)
 
-        taken = "identity"
-        because = ("static readings; no smooth field is tried: the loads know no places, constraints were given, or "
-                   f"fewer than {FEWEST} sensors are there to predict each other")  # fmt: skip
-        if not told["constraints"] and self.model.basis is not None and len(given.rows) >= FEWEST:
-            errors = {name: _foretold(of(name), given) for name in ("identity", *FIELDS)}
-            best = min(errors, key=lambda name: errors[name])
-            told_of = ", ".join(f"{name} {error:.2g}" for name, error in errors.items())
-            because = (
-                f"static readings; tried by predicting each sensor from the others, errors over readings: {told_of}"
-            )
-            if errors[best] < FORETOLD * errors["identity"]:
-                taken = best
-            else:
-                because += "; a field that is smooth is not clearly better"
-        return Chosen(of(taken).estimate(given), f"StaticInversion(penalty={taken!r})", because)
+        if told["constraints"] or self.model.basis is None or len(given.rows) < FEWEST:
+            return Chosen(of("identity").estimate(given), _static_name("identity"), "static readings; no smooth field "
+                          "is tried: the loads know no places, constraints were given, or fewer than "
+                          f"{FEWEST} sensors are there to predict each other")  # fmt: skip
+        tried = {name: _tried(of(name), given) for name in ("identity", *FIELDS)}
+        best = min(tried, key=lambda name: tried[name].error)
+        told_of = ", ".join(f"{name} {one.error:.2g}" for name, one in tried.items())
+        because = f"static readings; tried by predicting each sensor from the others, errors over readings: {told_of}"
+        if not tried[best].error < FORETOLD * tried["identity"].error:
+            best, because = "identity", f"{because}; a field that is smooth is not clearly better"
+        return Chosen(tried[best].estimate(), _static_name(best), because)
 
     def _history(self, found: Any, dt: float | None) -> Chosen:
         self._refuse(self.lines, "records of histories")
@@ -287,24 +285,43 @@ def stated(estimate: LoadEstimate) -> float:
     return float(np.sqrt(np.mean(estimate.std**2))) / size if size > 0 else float("inf")
 
 
-def _foretold(family: StaticInversion, given: Any) -> float:
-    """Error of each sensor as the others predict it, rms over that of the readings, whitened; at the lambda of all.
+@dataclass(frozen=True)
+class _Tried:
+    """A static family at the lambda of all sensors, and how well it predicts each sensor from the others.
+
+    `estimate` answers from what was posed and chosen for the trial.
+    """
+
+    error: float
+    estimate: Callable[[], LoadEstimate]
+
+
+def _tried(family: StaticInversion, given: Readings) -> _Tried:
+    try:
+        posed = family.pose(given)
+        family.refuse_undetermined(posed)
+        choice = family.choose(posed)
+    except (InputError, NotIdentifiable):  # a penalty that these loads or sensors do not take
+        return _Tried(float("inf"), partial(family.estimate, given))
+    return _Tried(_foretold(posed.base, choice.lam), partial(family.kept, given, posed, choice))
+
+
+def _foretold(path: SVDPath, lam: float) -> float:
+    """Error of each sensor as the others predict it, rms over that of the readings, whitened; at one lambda.
 
     With the hat matrix A of the path the prediction of a datum without itself leaves r_i / (1 - A_ii) (D. Allen,
     Technometrics 16 (1974) 125).
     """
-    try:
-        posed = family.pose(given)
-        lam = family.choose(posed).lam
-    except (InputError, NotIdentifiable):  # a penalty that these loads or sensors do not take
-        return float("inf")
-    path = posed.base
     passed = path.filter_factors(lam)[: path.U.shape[1]]
     own = np.einsum("ik,k,ik->i", path.U, passed, path.U)
     rest = np.asarray(path.residual(lam)).reshape(-1, len(own))
     data = np.atleast_2d(path.problem.y.T)
     left = rest / np.maximum(1 - own, np.finfo(float).eps)
     return float(np.linalg.norm(left) / max(float(np.linalg.norm(data)), np.finfo(float).tiny))
+
+
+def _static_name(penalty: str) -> str:
+    return f"StaticInversion(penalty={penalty!r})"
 
 
 def _listed(given: Any) -> list[Any]:

@@ -149,13 +149,13 @@ class StaticInversion:
         given = readings(found, self.model, self.sensors)
         self._progress(0.1, "posing the problem")
         posed = self.pose(given)
-        self._refuse_undetermined(posed)
+        self.refuse_undetermined(posed)
         if not joint and len(given.values) > 1:
             return each_frame(self, given)
         self._progress(0.4, "choosing lambda")
         choice = self.choose(posed)
         self._progress(0.8, "estimating the load")
-        return self._kept(given, posed, choice)
+        return self.kept(given, posed, choice)
 
     def calibrate(self, records: Sequence[Any]) -> Calibration:
         """Choose one relative lambda for several readings, and keep it for `estimate` and `freeze`.
@@ -191,7 +191,7 @@ class StaticInversion:
         approximation; see `ConstrainedPath.sample`): bands made of them are one-sided where they must be.
         """
         posed = self.pose(readings(found, self.model, self.sensors))
-        self._refuse_undetermined(posed)
+        self.refuse_undetermined(posed)
         choice = self.choose(posed)
         return drawn(posed, choice, noise_level(posed.path, choice, posed.noise), draws, seed, chosen=self.searching)
 
@@ -260,7 +260,7 @@ class StaticInversion:
             ),
         )  # fmt: skip
 
-    def _kept(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
+    def kept(self, given: Readings, posed: StaticProblem, choice: Choice) -> LoadEstimate:
         """The answer, with the problem that it can be asked of at another lambda; not without regularisation."""
         found = self.answer(given, posed, choice)
         if self.free:
@@ -271,7 +271,7 @@ class StaticInversion:
         own = copy(self)
         own.choice, own.calibration, own._progress = lam, None, Progress(None)
         now = own.choose(posed) if posed.constrained else moved(choice, posed.path, lam)
-        return own._kept(given, posed, now)
+        return own.kept(given, posed, now)
 
     def at_rest(self) -> StaticProblem:
         """The problem without readings: what a frozen inverse is made of."""
@@ -286,7 +286,7 @@ class StaticInversion:
         return self._prior
 
     # -- saying ---------------------------------------------------------------------------------------------------
-    def _refuse_undetermined(self, posed: StaticProblem) -> None:
+    def refuse_undetermined(self, posed: StaticProblem) -> None:
         """Refuse a load that neither the sensors nor the penalty nor the constraints determine (LID-E306)."""
         n, sensors = self.H.shape[1], f"{len(posed.H)} sensors"
         if "LID-E306" in self.allow:

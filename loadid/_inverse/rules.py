@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -398,8 +399,14 @@ def ncp(sweep: Sweep) -> RuleResult:
     rests = sweep.path.residuals(sweep.lam[picks])
     if rests is None:
         raise Refusal("ncp needs the residual of a record, which this path does not define")
-    told = np.array([(ncp_statistic(rest.reshape(len(rest), -1))[0], np.linalg.norm(rest)) for rest in rests])
-    value, size = told.T
+    # several small residuals in one transform, a long one alone
+    held = iter(rest.reshape(len(rest), -1) for rest in rests)
+    together = max(1, SHORT_NCP * len(picks) // sweep.path.m)
+    told = []
+    while some := list(islice(held, together)):
+        stack = np.stack(some, axis=-1)
+        told.append((ncp_statistic(stack)[0], np.linalg.norm(stack, axis=(0, 1))))
+    value, size = np.concatenate(told, axis=1)
     k = int(np.argmin(np.where(size >= ROUNDING * size.max(), value, np.inf)))  # rounding is as white as noise
     return RuleResult("ncp", float(sweep.lam[picks[k]]), k in (0, len(picks) - 1))
 

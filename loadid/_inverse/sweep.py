@@ -333,13 +333,13 @@ TESTABLE = 40  # noise modes below which neither test says anything
 
 
 # -- residual --------------------------------------------------------------------------------------------------------
-def ncp_statistic(residual: Array) -> tuple[float, float]:
+def ncp_statistic(residual: Array) -> tuple[Array, Array]:
     """Distance of the cumulated residual periodogram from white noise: (norm, Kolmogorov-Smirnov times sqrt q).
 
     Parameters
     ----------
-    residual : array, shape (samples, sensors)
-        Periodograms of several channels are added.
+    residual : array, shape (samples, sensors, ...)
+        Periodograms of several channels are added; one answer for each entry of the axes behind.
 
     Raises
     ------
@@ -348,10 +348,12 @@ def ncp_statistic(residual: Array) -> tuple[float, float]:
     """
     power = periodogram(residual)
     q = len(power)
-    if q < 2 or power.sum() <= 0:
+    total = power.sum(axis=0)
+    if q < 2 or np.any(total <= 0):
         raise Refusal("ncp needs a residual with some samples")
-    distance = np.cumsum(power) / power.sum() - np.arange(1, q + 1) / q
-    return float(np.linalg.norm(distance)), float(np.abs(distance).max() * np.sqrt(q * residual.shape[1]))
+    white = np.arange(1, q + 1).reshape(-1, *[1] * (power.ndim - 1)) / q
+    distance = np.cumsum(power, axis=0) / total - white
+    return np.linalg.norm(distance, axis=0), np.abs(distance).max(axis=0) * np.sqrt(q * residual.shape[1])
 
 
 def periodogram(residual: Array) -> Array:
@@ -398,7 +400,7 @@ def residual_test(path: RegularizationPath, lam: float) -> Residual | None:
     expected = path.white_residual(lam)
     if expected is None:
         try:
-            statistic = ncp_statistic(rest)[1]
+            statistic = float(ncp_statistic(rest)[1])
         except Refusal:
             return None
         return Residual(statistic, KS if spent <= SPENT else COLOURED, spent)

@@ -33,6 +33,8 @@ def load(source: Source, options: Options) -> list[Table]:
         if data[:4] != b"RF64":
             whole = data[: start - 4] + size + data[start : start + there]
         flags = (truncated(there // frame, -(-declared // frame)),)
+    elif (stated := _stated(data)) > len(data) + 1:  # a byte that fills up may be left out
+        flags = (truncated(len(data), stated, "bytes"),)
     rate, values = wavfile.read(io.BytesIO(whole))
     values = values.reshape(len(values), -1)
     if len(values) != there // frame or values.shape[1] > COLUMNS:
@@ -47,6 +49,12 @@ def load(source: Source, options: Options) -> list[Table]:
         notes = ('full scale is 1: state what it stands for, such as units={"ch1": "100 g"}',)
     names = tuple(f"ch{i + 1}" for i in range(values.shape[1]))
     return [Table(values, source.path.stem, names, dt=1.0 / rate, flags=flags, notes=notes)]
+
+
+def _stated(data: bytes) -> int:
+    """Bytes of the file as it says itself, 0 where it does not: who writes as it records leaves a number open."""
+    size = int(struct.unpack_from(">I" if data[:4] == b"RIFX" else "<I", data, 4)[0])
+    return 0 if size == 0xFFFFFFFF else size + 8
 
 
 def _data_of(data: bytes, source: Source) -> tuple[int, int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import selectors
 import socket
 import time
@@ -223,7 +224,7 @@ class Sockets(Feed):
             self._lose(line, error.strerror or str(error))
             return
         if code not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
-            self._lose(line, errno.errorcode.get(code, str(code)))
+            self._lose(line, os.strerror(code).lower())
             return
         self._ready.register(line.socket, selectors.EVENT_WRITE, line)
 
@@ -231,7 +232,7 @@ class Sockets(Feed):
         assert line.socket is not None
         code = line.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if code:
-            self._lose(line, errno.errorcode.get(code, str(code)))
+            self._lose(line, os.strerror(code).lower())
             return
         line.made, line.fresh, line.wait, line.why = True, True, 0.0, ""
         line.tries -= 1  # this one again
@@ -256,6 +257,8 @@ class Sockets(Feed):
         if line.made:
             self.counts["lost"] += 1
             log.warning("%s: connection to %s lost: %s", line.name, line.address, why)
+        elif line.wait == SOONEST:  # the second time: a name may have two addresses
+            log.warning("%s: no connection to %s: %s; tried again until there is one", line.name, line.address, why)
         if line.socket is not None:
             with suppress(KeyError, ValueError):
                 self._ready.unregister(line.socket)

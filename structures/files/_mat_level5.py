@@ -201,7 +201,8 @@ class _Reader:
         if kind == _STRUCT:
             width_tag = self.tag(data, beyond)
             names_tag = self.tag(data, width_tag.beyond)
-            width, beyond = int(self.values(data, width_tag, at)[0]), names_tag.beyond
+            widths, beyond = self.values(data, width_tag, at), names_tag.beyond
+            width = int(widths[0]) if len(widths) == 1 and widths.dtype.kind in "iu" else 0
             raw = data[names_tag.start : names_tag.start + names_tag.size]
             if not 0 < width <= 64 or len(raw) % width:
                 _refuse(self.path, "a struct is damaged", f"{name!r}: names of {width} bytes", "1 to 64 bytes", at)

@@ -25,7 +25,7 @@ from ._chain import Reconstruction, data, reconstruct, write_all
 from ._chain import text as in_words
 
 FORCE, SHEAR, RADIUS, TRAVEL = 0.25, 0.08, 3e-3, 1e-3  # N, N, m, m: strains stay below 10 %
-UNLOADED, LOADED = 6, 18  # frames
+UNLOADED, LOADED = 6, 12  # frames
 ROWS, COLUMNS, PITCH, DOT = 20, 26, 0.9e-3, 0.22e-3  # markers; m
 BLUR, GREY = 1.0, 2.0  # px, grey levels
 
@@ -124,7 +124,7 @@ def _photograph(settings: padfile.SensorFile, pad: Pad, press: Press | None, noi
     u = np.zeros((len(rest), 3)) if press is None else press.displacement(pad.layer, rest)
     scene = Scene(radius=DOT, blur=BLUR, noise=GREY)
     assert settings.view is not None
-    image = scene.photograph(settings.view, np.column_stack([rest + u[:, :2], u[:, 2]]), seed=noise)
+    image = scene.photograph(settings.view, np.column_stack([rest + u[:, :2], u[:, 2]]), seed=noise, exact=False)
     buffer = BytesIO()
     Image.fromarray(image).save(buffer, format="PNG", compress_level=3)
     return buffer.getvalue()

@@ -131,7 +131,15 @@ def test_predicted_sensors_are_those_of_fits_without_them() -> None:
         g = np.linalg.lstsq(A, np.r_[data[keep], np.zeros(len(L))], rcond=None)[0]
         left.append(data[i] - H[i] @ g)
     expected = np.linalg.norm(left) / np.linalg.norm(data)
-    assert automatic._foretold(family, given) == pytest.approx(expected, rel=1e-5)
+    assert automatic._tried(family, given).error == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_field_that_is_refused_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sensors and penalty whose null spaces nearly meet (LID-E306): the plain prior answers."""
+    model = patched()
+    y = model.static() @ (100 + 40 * (np.arange(24) + 0.5) / 24)
+    monkeypatch.setattr("loadid._families.static.MEETING", np.inf)
+    assert "penalty='identity'" in AutomaticInversion(model).estimate(y).facts.chosen
 
 
 def test_the_kind_of_data() -> None:

@@ -110,6 +110,9 @@ def test_ncp_statistic_of_white_noise_and_of_a_walk() -> None:
     power = np.sum([np.abs(np.fft.rfft(c)[1:]) ** 2 for c in noise.T], axis=0)
     expected = np.abs(np.cumsum(power) / power.sum() - np.arange(1, 1001) / 1000).max() * np.sqrt(3000)
     assert rules.ncp_statistic(noise)[1] == pytest.approx(expected)
+    several = rules.ncp_statistic(np.stack([noise, np.cumsum(noise, axis=0)], axis=-1))
+    each = [rules.ncp_statistic(r) for r in (noise, np.cumsum(noise, axis=0))]
+    np.testing.assert_allclose(np.transpose(several), each, rtol=1e-12)
     with pytest.raises(rules.Refusal, match="ncp"):
         rules.ncp_statistic(np.zeros((10, 1)))
 

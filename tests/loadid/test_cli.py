@@ -201,6 +201,27 @@ def test_log_level_shows_the_log_and_leaves_no_handler(run, monkeypatch):
     assert logging.getLogger("loadid").handlers == before
 
 
+def test_a_log_of_json_holds_nothing_else(run, monkeypatch, logs):
+    """Begin and end of a command, what is said aside, and errors; hushed, none of it but errors."""
+
+    def talk(args):
+        commands.say("aside", aside=True)
+        return 0
+
+    for name, words in (("--log-json", []), ("--log-json", ["--log-level", "info"])):
+        monkeypatch.setattr(cli, "commands", lambda: {"talk": commands.Command("talk", "talk", lambda p: None, talk)})
+        lines = [json.loads(line) for line in run(name, *words, "talk")[2].splitlines()]
+        told = [line["message"] for line in lines]
+        assert [text.split(" after")[0] for text in told] == (
+            ["talk begins", "aside", "talk ends with exit code 0"] if words else []
+        )
+        monkeypatch.undo()
+    assert json.loads(run("--log-json", "info", "none.csv")[2])["error"]["exit"] == 3
+    monkeypatch.setattr(cli, "commands", lambda: {"talk": commands.Command("talk", "talk", lambda p: None, talk)})
+    assert run("talk")[2] == "aside\n"
+    assert run("-q", "talk")[1:] == ("", "")
+
+
 def test_units_are_channel_equals_unit():
     assert units(["F=N", "a=b=m/s^2"]) == {"F": "N", "a=b": "m/s^2"}
     for bad in ("F", "=N", "F="):

@@ -114,5 +114,5 @@ def test_the_log_as_json(run, monkeypatch):
 
     monkeypatch.setattr(cli, "commands", lambda: {"talk": commands.Command("talk", "talk", lambda p: None, talk)})
     for argv in (["--log-json", "--log-level", "info", "talk"], ["talk", "--log-level", "info", "--log-json"]):
-        line = json.loads(run(*argv)[2])
+        line = json.loads(run(*argv)[2].splitlines()[1])  # between begin and end of the command
         assert {**line, "time": 0} == {"time": 0, "level": "info", "logger": "loadid.x", "message": 'said "so"'}

@@ -139,6 +139,11 @@ def test_structs_that_contradict_themselves(tmp_path):
     path = mat(tmp_path / "y.mat", FRF=block(H[:, 0], "g/N", x="Hz", kind="FRF"))
     with pytest.raises(InputError, match=r"no time response; found: 1 x FRF"):
         loadid.read(path)
+    whole = mat(tmp_path / "w.mat", False, s={"a": 1.0}).read_bytes()
+    at = whole.index(b"\x05\x00\x04\x00")  # the width of the names of its fields
+    (tmp_path / "w.mat").write_bytes(whole[:at] + b"\x05" + bytes(7) + whole[at + 8 :])
+    with pytest.raises(InputError, match="a struct is damaged"):
+        loadid.read(tmp_path / "w.mat", fs=1.0)
     nested: dict = {"a": 1.0}
     for _ in range(20):
         nested = {"s": nested}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from structures._advice import Advice, Spelling
 from structures._channels import Channel
 from structures._flags import Flag
 from structures._model import Model
@@ -276,11 +277,14 @@ def _refuse_silent(H: NDArray[np.float64], channels: Sequence[Channel]) -> None:
     """Rows of zeros: what such a sensor reads is no answer to any load."""
     silent = [c.label for c, row in zip(channels, H, strict=True) if not np.any(row)]
     if silent:
+        other = "leave them out (", Spelling("sensors=[...]", "--sensors"), ")"
+        if len(silent) == len(channels):
+            other = "ask for a history (", Spelling("Deconvolution", "--family deconvolution"), ")"
         raise InputError(
-            f"{len(silent)} sensor{'s' if len(silent) > 1 else ''} see no static load", where="transfer matrix",
+            f"{len(silent)} sensor{'s see' if len(silent) > 1 else ' sees'} no static load", where="transfer matrix",
             found=", ".join(silent[:8]) + (", ..." if len(silent) > 8 else ""),
             expected="strains or displacements that a load moves",
-            hint="leave them out (sensors=[...]); velocity, acceleration and AC-coupled sensors see no constant load",
+            hint=Advice(*other, "; velocity, acceleration and AC-coupled sensors see no constant load"),
         )  # fmt: skip
 
 

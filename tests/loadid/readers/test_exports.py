@@ -157,6 +157,11 @@ def test_a_cut_wav_says_how_much_is_there(tmp_path):
     path.write_bytes(data[:22] + b"\x09" + data[23:])
     with pytest.raises(InputError, match="header of the file is damaged"):
         scan(path)
+    lost = data[: start - 4] + (64).to_bytes(4, "little") + data[start:-15]  # says less of its samples than there are
+    path.write_bytes(lost)
+    assert scan(path)[0].flags[0].message == f"truncated: {len(lost)} of {len(data)} bytes"
+    path.write_bytes(data[:4] + b"\xff" * 4 + data[8:])  # left open by who writes as it records
+    assert not scan(path)[0].flags
 
 
 # -- units with a number -----------------------------------------------------------------------------------------------
