@@ -233,11 +233,12 @@ class QuickMap:
             steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan), wide)
         answer, about = inverse(steady), None
         if self.contacts is not None and wrench is None and not quick:  # a wrench says more
-            about = self._about(np.where(np.isfinite(steady), y, np.nan), wide)
+            about = self._about(steady, wide)
         if strays and about is not None:
-            about = self._doubted(y, steady, about)
+            whole = y if shift is None or self.image is None else self.image.steadied(y, shift)
+            about = self._doubted(whole, steady, about)
         if about is not None and not self.normal:
-            return self._by_contacts(steady, y, about, (strays, misfit), shift)
+            return self._by_contacts(steady, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
         variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
@@ -265,12 +266,16 @@ class QuickMap:
         if found is None and wrench is None and about is None:
             covariance = covariance + self._blind(inverse.resultant @ load)
         if self.contacts is not None and wrench is None and about is None and not quick and not self.normal:
-            covariance[2, 2] += wide**2 * self.contacts.hidden(y / inverse.noise / wide)
+            covariance[2, 2] += wide**2 * self.contacts.hidden(steady / inverse.noise / wide)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=wide * np.sqrt(band.noise))
 
     def _about(self, y: Array, wide: float) -> LocalLoad | None:
-        """Loads about the contacts of readings (m,), NaN where lost; None where they are not what the readings say."""
+        """Loads about the contacts of readings (m,), NaN where lost; None where they are not what the readings say.
+
+        The motion of the image is an unknown beside them; what was found of it is taken off before, as a model errs by
+        a share of what a load moves.
+        """
         assert self.contacts is not None
         z = y / self.inverse.noise
         wide = self.contacts.erring(z, wide)
@@ -299,13 +304,13 @@ class QuickMap:
         return EvenEvidence.of(self.inverse, self.contacts.moved)
 
     def _by_contacts(
-        self, steady: Array, y: Array, about: LocalLoad, checked: tuple[int, float], shift: ImageShift | None
+        self, steady: Array, about: LocalLoad, checked: tuple[int, float], shift: ImageShift | None
     ) -> FrameAnswer:
         """What loads about the contacts say, where the readings do not tell of normal motion."""
         assert self.contacts is not None
         found = None
         if self.contact.constrains:
-            z = np.where(np.isfinite(steady), y, np.nan) / self.inverse.noise
+            z = steady / self.inverse.noise
             found = self.contacts.pressed(z, about, self.contact.friction, self.normals)
         load = about.load if found is None else found.load
         flags = [guards.unseen(self.recovery, layer=True)]

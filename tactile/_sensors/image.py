@@ -110,10 +110,26 @@ class PosedMotion:
                 out[k] = np.median(y[seen])
         return out
 
+    def shared(self, y: Array) -> Array:
+        """The motion (q,), turn and stretch too, that most readings (m,) share.
+
+        Least squares by the biweight, from the medians on (A. E. Beaton & J. W. Tukey, Technometrics 16 (1974) 147).
+        """
+        out, rigid = self.typical(y), slice(0, FREEDOMS)
+        rows = np.any(self.columns[:, rigid], axis=1) & np.isfinite(y)
+        M, size = self.columns[rows, rigid], self.std[rigid]
+        for _ in range(REWEIGHTED):
+            rest = y[rows] - M @ out[rigid]
+            reach = BIWEIGHT * float(np.median(np.abs(rest)))
+            weight = np.clip(1 - (rest / max(reach, np.finfo(float).tiny)) ** 2, 0.0, None)
+            out[rigid] = size * np.linalg.lstsq(weight[:, None] * M * size, weight * y[rows], rcond=1e-10)[0]
+        return out
+
 
 FREEDOMS = 4  # of an image: shift along x and y, turn, stretch
 TURNING = (2, 3)
 ROUNDS = 4
+BIWEIGHT, REWEIGHTED = 7.0, 6  # median absolute values from which a reading counts for nothing; passes
 NOISE = 0.5  # of the noise of one marker
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact, at most
 FAR = 0.005  # and their std
@@ -177,6 +193,7 @@ class ImageFit:
         z = self.inverse.filled(y - self.motion.columns @ a)[0]  # a lost marker moves as the others say
         seen = z + self.moved @ a
         load = np.asarray(self.inverse.matrix @ seen.astype(self.inverse.matrix.dtype, copy=False), float)
+        a = min(a, self.motion.shared(y), key=lambda one: self._loaded(load - self.loads @ one, wide).sum())
         for _ in range(ROUNDS):
             before, told = told, self._told(self._loaded(load - self.loads @ a, wide))
             if told is before:

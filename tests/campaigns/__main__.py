@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -51,7 +52,11 @@ def main() -> None:
         settings: dict[str, Any] = {k: v for k in ("size", "longest", "sensor") if (v := vars(given)[k]) is not None}
         if given.variance:
             settings["penalty"] = Penalty("identity", variance=given.variance)
-        found = list(CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings))
+        found = []
+        for one in CAMPAIGNS[given.campaign].run(given.problems, given.seed, given.error, **settings):
+            found.append(one)
+            if isinstance(one, tactile.Mapped):  # an hour and more: what is done is said
+                print(tactile.each(one), file=sys.stderr, flush=True)
         TABLES.get(given.campaign, table)([s for s in found if not isinstance(s, str)])
         print("refused:", counts(s for s in found if isinstance(s, str)))
 
