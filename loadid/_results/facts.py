@@ -371,7 +371,7 @@ class Grade:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1g} %"
 
 
 def expected_error(estimate: LoadEstimate) -> float:

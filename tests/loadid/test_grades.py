@@ -57,7 +57,9 @@ def test_odds_are_those_of_the_family_and_are_not_made_up():
     known = replace(e, provenance={"family": "deconvolution"}).grade
     assert known.odds == MEASURED["deconvolution"]["A"]
     assert f"19 of 20 answers like this one were within {100 * known.odds.within:.0f} %" in str(known)
-    assert "not measured" in str(replace(e, provenance={"family": "harmonic inversion"}).grade)
+    other = {"family": "harmonic inversion"}
+    assert "of about 2 % is expected, not measured" in str(replace(e, provenance=other).grade)
+    assert "of about 0.2 % is expected" in str(replace(of(0.002), provenance=other).grade)
 
 
 def test_better_grades_were_better():
