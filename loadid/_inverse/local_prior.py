@@ -12,12 +12,12 @@ by the same rule.
 Raw evidence prefers the local prior on nearly all records, as it has hundreds of numbers more. The stationary one that
 it is compared with has a memory too, up to 30 samples; its gain is counted for each bump that is in use, and asked to
 be the larger, the larger the share of the record is over which the load acts; and every load has to rest over half of
-the record, its variance a hundredth of the largest or less.
+the record, its variance a hundredth of the largest or less. Nor may bumps of a memory longer than a pulse be likelier.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -47,7 +47,7 @@ MEMORIES = (0.0, 2.0, 3.5, 6.0, 12.0, 30.0)  # samples
 FIRST = 3  # which of them is tried first
 ASKED = 15.0  # gain for each bump in use, over the share of the record in use, that is no chance
 RESTS, QUIET = 0.5, 1e-2  # share of the record over which every load of impacts rests: variance over its largest
-LONGEST = 12.0  # samples: memory of a pulse
+LONGEST, SLOWER = 12.0, 10.0  # samples: memory of a pulse; ln evidence by which a longer one tells that it is none
 CHANCE = 4.0  # std of such a correlation
 COLOURED = 0.35  # correlation of a residual from sample to sample above which the noise is not white
 LEAST_MISFIT = 0.01  # from which it is learned
@@ -85,6 +85,8 @@ class Judgement:
         Variances that were learned beyond the stationary ones.
     updates : int
         Smoother passes, all memories together.
+    slower : float
+        Log likelihood that bumps of a longer memory than a pulse has have beyond these; -inf where none were tried.
     errors : Marginal, optional
         Errors of the model, linearised about the load.
     """
@@ -97,6 +99,7 @@ class Judgement:
     misfit: float
     bumps: int
     updates: int
+    slower: float = -np.inf
     errors: Marginal | None = None
 
     @property
@@ -122,9 +125,13 @@ class Judgement:
 
     @property
     def asked_for(self) -> bool:
-        """Whether the data ask for it: no chance, all loads rest, no memory beyond a pulse, and the noise is white."""
+        """Whether the data ask for it: no chance, all loads rest, no memory beyond a pulse, and the noise is white.
+
+        Pulses are none where bumps that last longer are far likelier: two that each fall before they rise stand for a
+        step, of which accelerometers see no more.
+        """
         chance = ASKED * float(self.participation.mean())
-        pulses = self.rest > RESTS and self.memory <= LONGEST
+        pulses = self.rest > RESTS and self.memory <= LONGEST and self.slower < SLOWER
         return self.gain > chance and pulses and self.correlation < COLOURED
 
 
@@ -251,7 +258,7 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     seed.climb(TRIED)
     local = searched(seed, top, TRIED, POWER, move)
     most = max(LONGEST, MEMORIES[top])  # bumps beside a longer memory are pulses cut out of a slow load
-    best = max((i for i in local if MEMORIES[i] <= most), key=lambda i: local[i].evidence)
+    best, slower = best_of(local, most)
     chosen = local[best]
     last = chosen.climb(MOST)
     chosen.weigh(last)
@@ -259,7 +266,7 @@ def local_prior(record: WhitenedRecord, *, stated: bool = False) -> LocalPrior:
     return LocalPrior(
         evidence=chosen.evidence, memory=MEMORIES[best], record=chosen.record, given=given, noise=chosen.r,
         stationary=_as_prior(still[top], MEMORIES[top]), compared=given.load, correlation=chosen.correlation(last),
-        misfit=0.0, bumps=chosen.b.size, fit=chosen,
+        misfit=0.0, bumps=chosen.b.size, fit=chosen, slower=slower,
         updates=sum(one.updates for one in (*still.values(), *local.values())),
     )  # fmt: skip
 
@@ -325,6 +332,13 @@ class LocalVariancePosterior:
         free = np.asarray(tree["free"]).astype(int).reshape(-1)
         record = WhitenedRecord(F, G, C, D, E, kind, np.zeros((len(kind), C.shape[1])), free, int(tree["data"]))
         return cls(Smoother(record, Variances(*(np.asarray(tree[name], float) for name in ("v", "noise", "start")))))
+
+
+def best_of(local: Mapping[int, Evident], most: float) -> tuple[int, float]:
+    """Number of the likeliest memory up to `most`, and the ln evidence that a longer one has beyond it."""
+    best = max((i for i in local if MEMORIES[i] <= most), key=lambda i: local[i].evidence)
+    beyond = max((one.evidence for i, one in local.items() if MEMORIES[i] > most), default=-np.inf)
+    return best, beyond - local[best].evidence
 
 
 # -- inside ------------------------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ from ..local_prior import (
     SETTLED,
     TINY,
     Judgement,
+    best_of,
     bumps,
     input_variance,
     ratio,
@@ -501,7 +502,7 @@ def local_lines(spectrum: Spectrum, load: Array, *, known: bool = False, stated:
     seed.climb(TRIED)
     local = searched(seed, top, TRIED, POWER, _moved)
     most = max(LONGEST, MEMORIES[top])  # bumps beside a longer memory are pulses cut out of a slow load
-    best = max((i for i in local if MEMORIES[i] <= most), key=lambda i: local[i].evidence)
+    best, slower = best_of(local, most)
     chosen = local[best]
     chosen.climb(MOST)
     chosen = _with_overlooked(chosen, WIDEST // load.shape[1])
@@ -514,7 +515,7 @@ def local_lines(spectrum: Spectrum, load: Array, *, known: bool = False, stated:
     chosen.climb(MOST)
     return LocalLinesPrior(
         evidence=evidence, memory=chosen.memory, stationary=still[top], compared=compared, correlation=0.0,
-        misfit=0.0, bumps=every, updates=updates, errors=None, fit=chosen,
+        misfit=0.0, bumps=every, updates=updates, slower=slower, errors=None, fit=chosen,
     )  # fmt: skip
 
 
