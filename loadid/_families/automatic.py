@@ -199,6 +199,9 @@ class AutomaticInversion:
             return Chosen(plain, "Deconvolution", f"the plain prior; {tried}; a load that is smooth was refused")
         own, other = stated(plain), stated(smooth)
         memory = f"a load that is smooth over {smooth.facts['memory']:g} samples"
+        if lost := _lost(smooth):
+            return Chosen(plain, "Deconvolution", f"the plain prior; {tried}; {memory} leaves {', '.join(lost)} within "
+                          "its own error, with a variance that was learned away")  # fmt: skip
         if other < min(SURE, SMALLER * own):
             return Chosen(smooth, "Deconvolution(penalty=Penalty(variance='smooth'))", f"the load acts throughout, and "
                           f"{memory} states an error of {other:.1%}, the plain prior {own:.1%}")  # fmt: skip
@@ -283,6 +286,12 @@ def stated(estimate: LoadEstimate) -> float:
     """Root mean square std over that of the load."""
     size = float(np.sqrt(np.mean(np.abs(estimate.load) ** 2)))
     return float(np.sqrt(np.mean(estimate.std**2))) / size if size > 0 else float("inf")
+
+
+def _lost(estimate: LoadEstimate) -> list[str]:
+    """Loads that are smaller than their std (rms): the likeliest variance of a load that little tells may be none."""
+    size, std = (np.sqrt(np.mean(np.abs(x) ** 2, axis=0)) for x in (estimate.load, estimate.std))
+    return [label for label, gone in zip(estimate.labels, size < std, strict=True) if gone]
 
 
 @dataclass(frozen=True)
