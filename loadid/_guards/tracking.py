@@ -97,6 +97,7 @@ STAYS = 3.0  # times the largest load of the fit
 SHIFTED = (
     8.0  # standard errors of a mean in service: asked at every block, so that 4 would come by chance in a long day
 )
+LOUD, MORE = 2.0, 1.25  # power over that of a right filter (5 stds of one channel), and over the largest of the fit
 LONG = 40  # samples below which a mean of innovations is not judged
 
 
@@ -238,6 +239,20 @@ def moved_off(errors: Array, sensors: Sequence[str]) -> Flag | None:
         "W527",
         Evidence("standard errors of the mean innovation in service", float(errors[wrong[0]]), SHIFTED),
         f"the innovations of channel {listed} lie so many standard errors off zero in service: an offset?",
+    )
+
+
+def louder(most: float, usual: float) -> Flag | None:
+    """W534: innovations are larger, or more alike, than the filter says (`Loudness`); `usual`: at the fit."""
+    limit = max(LOUD, MORE * usual)
+    if most <= limit:
+        return None
+    return Flag(
+        "W534",
+        Evidence("power of the innovations in service over what the filter says", float(most), limit),
+        f"the innovations in service have {most:.3g} times the power that the filter says, and at the fit at most "
+        f"{usual:.3g} times: the loads are larger or move otherwise than those of the fit, or the model is off by more "
+        "than the noise; the band is that of the fit, and too narrow",
     )
 
 

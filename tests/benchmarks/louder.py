@@ -4,7 +4,7 @@
 displacement sensors, or by one and an accelerometer. The tracker is tuned on a record of such a load of some rms, then
 follows one of 300 samples at rest and 600 of a load of 20 N rms. Each line: rms of the fit; coverage of the first 100
 samples of the load and of the rest; rms of error over stated std; how many records have a flag of samples in service
-(W521, W526, W529).
+(W521, W526, W529, W534).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from loadid import LoadTracker, Noise
 from .noise_alone import ACC, DISP, DT, on
 
 STILL, MOVING, FITTED, RMS = 300, 600, 2000, 20.0
-IN_SERVICE = {"LID-W521", "LID-W526", "LID-W529"}
+IN_SERVICE = {"LID-W521", "LID-W526", "LID-W529", "LID-W534"}
 
 
 def tones(samples: int, rng: np.random.Generator) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loadid._families.tracking.means import Means
+from loadid._families.tracking.innovations import Means
 from loadid._families.tracking.tracker import Tracker
 from tests.benchmarks.gate import GUARDS, WORSE, Campaign, campaign, followed
 

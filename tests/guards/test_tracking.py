@@ -15,6 +15,7 @@ from loadid._guards.tracking import (
     drifting,
     faulty,
     kept_out,
+    louder,
     moved_off,
     other_model,
     overconfident,
@@ -107,6 +108,7 @@ CASES = [
     Case("W528", lambda: one(faulty([("a", None, "offset", 440), ("b", "c", "swapped", 900)])),
          lambda: one(faulty([])), r"a \(offset, sample 440\); b and c \(swapped"),
     Case("W529", lambda: one(unlike_the_fit(60, 1.4)), lambda: one(unlike_the_fit(0, 1.4)), "60 samples"),
+    Case("W534", lambda: one(louder(4.7, 1.2)), lambda: one(louder(2.3, 2.0)), "4.7 times the power.*1.2 times"),
     Case("N531", lambda: one(blind(1500, 2000)), lambda: one(blind(900, 2000)), "1500 of 2000 samples"),
     Case("W530", lambda: one(contradicting([None, 0.23, 0.97], ["a", "b", "c"])),
          lambda: one(contradicting([None, 0.91, 0.97], ["a", "b", "c"])), "b 23%"),
@@ -153,3 +155,23 @@ def test_the_cure_cures():
     static = building(disp=range(1, 11), acc=()).space().static()[:, 0] * 100
     assert abs(cure.moves - static.max()) < 1e-9
     assert node == 1 + int(np.argmax(static))
+
+
+def test_loads_larger_than_those_of_the_fit_are_told_of():
+    """Ten times as large, and not where they are as at the fit, nor for blocks of another length."""
+    from tests.benchmarks.louder import tones
+    from tests.benchmarks.noise_alone import DISP, DT, on
+
+    model, std, rng = on(DISP), np.full(2, 1e-6), np.random.default_rng(7)
+    quiet, loud = (model.predict(rms * tones(960, rng), DT) for rms in (2.0, 20.0))
+    quiet, loud = (y + std * rng.standard_normal(y.shape) for y in (quiet, loud))
+    tracker = LoadTracker(model, noise=Noise(std)).fit(quiet, DT)
+    codes, most = [], []
+    for rows, blocks in ((quiet, 1), (loud, 1), (loud, 37)):
+        tracker.reset()
+        for block in np.array_split(rows, blocks):
+            tracker.run(block)
+        codes.append("LID-W534" in {f.code for f in tracker.alarms})
+        most.append(tracker.to_tree()["loudness"]["most"])
+    assert most[1] == most[2]
+    assert codes == [False, True, True]

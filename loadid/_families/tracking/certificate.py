@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..._guards.tracking import CALM, RESTLESS
 from ..._inverse.gaussian.roots import Array
 from ..._inverse.gaussian.steady import SteadyFilter
+from .innovations import loudness
 
 LINES = 160  # frequencies at which the two are compared
 LOWEST = 1e-4  # of the Nyquist frequency; what is told there is told below
@@ -122,6 +123,8 @@ class TrackCertificate:
         Correlation length of each load that the record has told, in samples; None where it was given, or has none.
     told : bool
         The record tells a load from noise.
+    loudest : float
+        Largest `loudness` of a stretch; 1 where the record holds none.
     """
 
     samples: int
@@ -140,6 +143,7 @@ class TrackCertificate:
     nyquist: float = float("inf")
     lengths: tuple[float | None, ...] = ()
     told: bool = True
+    loudest: float = 1.0
 
     @property
     def failing(self) -> tuple[str, ...]:
@@ -229,6 +233,7 @@ def certify(
         sensors=tuple(sensors),
         time_constant=float(time_constant),
         lengths=tuple(lengths),
+        loudest=float(np.nanmax(loudness(normalised), initial=1.0)),
         robust_std=tuple(
             float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T
         ),

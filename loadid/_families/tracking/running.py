@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from structures._flags import Flag
 from structures.errors import InputError, plain, reals
 
-from ..._guards.tracking import FAR, beyond_the_fit, blind, faulty, kept_out, moved_off, unlike_the_fit
+from ..._guards.tracking import FAR, beyond_the_fit, blind, faulty, kept_out, louder, moved_off, unlike_the_fit
 from ..._inverse.gaussian.exports import FilterpyEngine
 from ..._inverse.gaussian.lag import fixed_lag
 from ..._inverse.gaussian.roots import Array, lower, solve_lower
@@ -23,7 +23,7 @@ from .beginning import HEAD, MovingStart, beginning
 from .engine import Engine, Late
 from .faults import ChannelFault
 from .fit import TrackerFit
-from .means import Means, constant
+from .innovations import Loudness, Means, constant
 from .samples import Replay, inside
 from .watch import CONTRADICTING, FARTHEST, FAULT, HUGE, MISFIT, Watch
 
@@ -124,6 +124,7 @@ class Running:
                      dict(zip(labels, beyond.tolist(), strict=True))),
             beyond_the_fit(getattr(engine, "largest", 0.0), 0.0 if self._watch is None else self._watch.far),
             moved_off(self._means.errors(None if f.settled is None else constant(f.settled)), labels),
+            louder(self._loudness.most, 1.0 if f.certificate is None else f.certificate.loudest),
             None if self._start is None else self._start.flag,
             None if self._watch is None else faulty([(labels[x.channel], None if x.other < 0 else labels[x.other],
                                                       x.kind, x.sample) for x in self._watch.named], self._watch.acts),
@@ -145,7 +146,7 @@ class Running:
         self._tally: Counter[str] = Counter()
         self._start: MovingStart | None = None
         self._head: Array | None = np.empty((0, self.fitted.model.m)) if self.engine == "own" else None
-        self._means = Means(self.fitted.model.m)
+        self._means, self._loudness = Means(self.fitted.model.m), Loudness(self.fitted.model.m)
         self._ring = Replay(self.replay) if self.replay else None
         self._watch = self._watching()
         most = np.inf if self.fitted.most is None or self.gate is None else self.fitted.most
@@ -381,6 +382,7 @@ class Running:
                 self._settled(self._watch)
             start = part.stop
         self._means.add(out.e)
+        self._loudness.add(out.e)
 
     def _placed_block(self, Y: Array, out: TrackedRows, progress: Callable[[float, str], None] | None) -> None:
         """Fill the rows of samples, which are kept where late ones may come."""
@@ -480,6 +482,7 @@ class Running:
         """Everything that changes from sample to sample, as plain arrays and numbers."""
         ring = None if self._ring is None else self._ring.to_tree()
         return self._changing() | {"ring": ring, "tally": dict(self._tally), "means": self._means.to_tree(),
+                                   "loudness": self._loudness.to_tree(),
                                    "start": None if self._start is None else [self._start.wider, self._start.gain],
                                    "head": None if self._head is None else self._head.copy(),
                                    "watch": None if self._watch is None else self._watch.to_tree()}  # fmt: skip
@@ -494,6 +497,8 @@ class Running:
         self._tally = Counter({str(k): int(v) for k, v in tree["tally"].items()})
         if (means := tree.get("means")) is not None:  # files of 0.1 hold none
             self._means.restore(means)
+        if (loud := tree.get("loudness")) is not None:  # nor this
+            self._loudness.restore(loud)
         if self._watch is not None and (watch := tree.get("watch")) is not None:
             self._watch.restore(watch)
         if self._ring is not None:
