@@ -228,10 +228,11 @@ class QuickMap:
         """Under a contact prior, which knows how far the model may be off, beside the motion of the whole image."""
         inverse, (steady, shift) = self.inverse, self._steadied(y)
         steady, strays, misfit = self.consistency.checked(steady)
-        wide = max(1.0, misfit)
+        wide, kept = max(1.0, misfit), np.where(np.isfinite(steady), y, np.nan)
         if strays or wide > WIDER:  # without the strays, and by the noise that there is
-            steady, shift = self._steadied(np.where(np.isfinite(steady), y, np.nan), wide)
-        answer, about = inverse(steady), None
+            steady, shift = self._steadied(kept, wide)
+        known = None if shift is None or self.image is None else self.image.steady_load(kept, shift)
+        answer, about = inverse(steady, load=known), None
         if self.contacts is not None and wrench is None and not quick:  # a wrench says more
             about = self._about(steady, wide)
         if strays and about is not None:

@@ -110,26 +110,30 @@ class PosedMotion:
                 out[k] = np.median(y[seen])
         return out
 
-    def shared(self, y: Array) -> Array:
-        """The motion (q,), turn and stretch too, that most readings (m,) share.
+    def shared(self, y: Array, start: Array) -> Array:
+        """The motion (q,), turn and stretch too, that most readings (m,) share, from what is typical of them.
 
-        Least squares by the biweight, from the medians on (A. E. Beaton & J. W. Tukey, Technometrics 16 (1974) 147).
+        Least squares by the biweight (A. E. Beaton & J. W. Tukey, Technometrics 16 (1974) 147).
         """
-        out, rigid = self.typical(y), slice(0, FREEDOMS)
+        out, rigid = start.copy(), slice(0, FREEDOMS)
         rows = np.any(self.columns[:, rigid], axis=1) & np.isfinite(y)
         M, size = self.columns[rows, rigid], self.std[rigid]
         for _ in range(REWEIGHTED):
             rest = y[rows] - M @ out[rigid]
             reach = BIWEIGHT * float(np.median(np.abs(rest)))
             weight = np.clip(1 - (rest / max(reach, np.finfo(float).tiny)) ** 2, 0.0, None)
-            out[rigid] = size * np.linalg.lstsq(weight[:, None] * M * size, weight * y[rows], rcond=1e-10)[0]
+            step = size * np.linalg.lstsq(weight[:, None] * M * size, weight * rest, rcond=1e-10)[0]
+            out[rigid] += step
+            if np.abs(M @ step).max(initial=0.0) < SETTLED * reach:
+                break
         return out
 
 
 FREEDOMS = 4  # of an image: shift along x and y, turn, stretch
 TURNING = (2, 3)
 ROUNDS = 4
-BIWEIGHT, REWEIGHTED = 7.0, 6  # median absolute values from which a reading counts for nothing; passes
+BIWEIGHT, REWEIGHTED = 7.0, 8  # median absolute values from which a reading counts for nothing; passes
+SETTLED = 0.02  # of these, that the last pass moves a marker by
 NOISE = 0.5  # of the noise of one marker
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact, at most
 FAR = 0.005  # and their std
@@ -161,6 +165,16 @@ class ImageShift:
 
 
 @dataclass(frozen=True, eq=False)
+class _Read:
+    """Readings `y` (m,) of a frame, motions (q,) to start from, whitened readings `seen` without gaps, their load."""
+
+    y: Array
+    starts: tuple[Array, Array]
+    seen: Array
+    load: Array
+
+
+@dataclass(frozen=True, eq=False)
 class _Told:
     """What tells the image's motion while loads act on one region: `rows` (q, m) of whitened readings, covariance.
 
@@ -182,6 +196,7 @@ class ImageFit:
     places: Array
     thickness: float
     _known: dict[bytes, _Told] = field(default_factory=dict, init=False)
+    _last: _Read | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.moved = self.motion.columns / self.problem.noise[:, None]  # whitened readings per unit
@@ -189,16 +204,14 @@ class ImageFit:
 
     def __call__(self, y: Array, wide: float = 1.0) -> ImageShift:
         """Of readings (m,), NaN where lost, whose noise is `wide` times as large as stated."""
-        a, told = self.motion.typical(y), None
-        z = self.inverse.filled(y - self.motion.columns @ a)[0]  # a lost marker moves as the others say
-        seen = z + self.moved @ a
-        load = np.asarray(self.inverse.matrix @ seen.astype(self.inverse.matrix.dtype, copy=False), float)
-        a = min(a, self.motion.shared(y), key=lambda one: self._loaded(load - self.loads @ one, wide).sum())
+        read, told = self._read(y), None
+        load = read.load
+        a = min(read.starts, key=lambda one: self._loaded(load - self.loads @ one, wide).sum())
         for _ in range(ROUNDS):
             before, told = told, self._told(self._loaded(load - self.loads @ a, wide))
             if told is before:
                 break
-            a = told.rows @ seen
+            a = told.rows @ read.seen
         assert told is not None
         covariance, load = told.covariance, load - self.loads @ a
         for error in told.errors:
@@ -206,9 +219,24 @@ class ImageFit:
             covariance = covariance + np.outer(one, one) / wide**2
         return self._shift(a, covariance, y, wide)
 
+    def _read(self, y: Array) -> _Read:
+        """What readings (m,) say whatever their noise; once, as a frame is asked again where it shows another one."""
+        last = self._last
+        if last is None or not np.array_equal(last.y, y, equal_nan=True):
+            a = self.motion.typical(y)
+            z = self.inverse.filled(y - self.motion.columns @ a)[0]  # a lost marker moves as the others say
+            seen = z + self.moved @ a
+            load = np.asarray(self.inverse.matrix @ seen.astype(self.inverse.matrix.dtype, copy=False), float)
+            last = self._last = _Read(y.copy(), (a, self.motion.shared(y, a)), seen, load)
+        return last
+
     def steadied(self, y: Array, found: ImageShift) -> Array:
         """Readings (m,) without what moved all of them."""
         return y - self.motion.columns @ found.values
+
+    def steady_load(self, y: Array, found: ImageShift) -> Array | None:
+        """Loads (n,) of readings (m,) without what moved all of them; None where one is lost."""
+        return self._read(y).load - self.loads @ found.values if np.isfinite(y).all() else None
 
     def open(self, found: ImageShift) -> Array:
         """Loads (n, q) whose outer products are what the image's motion leaves open of the map."""

@@ -77,10 +77,16 @@ class Inverse(ReadOnly):
         """Loads and readings."""
         return self.matrix.shape
 
-    def __call__(self, y: Array, wrench: Wrench | None = None) -> Answer:
-        """Load of readings (m,) in their own units; NaN where one is lost, refused where none is left."""
+    def __call__(self, y: Array, wrench: Wrench | None = None, load: Array | None = None) -> Answer:
+        """Load of readings (m,) in their own units; NaN where one is lost, refused where none is left.
+
+        `load` (n,) is that of these readings, where it is known already and none is lost.
+        """
         z, lost = self.filled(y)
-        plain = Answer(self._times(z), self.std, self.resultant @ self.reach, self.reach) if lost.size == 0 else None
+        plain = None
+        if lost.size == 0:
+            found = self._times(z) if load is None else load
+            plain = Answer(found, self.std, self.resultant @ self.reach, self.reach)
         answer = self._widened(z, lost) if plain is None else plain
         return answer if wrench is None else fused(answer, self.resultant, wrench)
 

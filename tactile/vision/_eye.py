@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -341,7 +342,7 @@ class Eye:
         """Places of the markers at rest (N, 2) in m."""
         return self.view.to_pad(self.tracker.points[self.kept])
 
-    @property
+    @cached_property
     def pixel(self) -> float:
         """Side of a pixel on the pad (m)."""
         return float(np.median(self._in_metres(np.ones(2))))

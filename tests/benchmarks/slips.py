@@ -5,9 +5,10 @@
 by a quarter of a pixel (of 70 um) to one, any way, every second one turned and stretched too. A sensor reads them as a
 stream does (`follow`), two of every ten as single frames (`estimate`).
 
-Columns: frames; shifted ones that raise W611; still ones that do; single frames, and of their force what the shift
-leaves: the difference to the same frame without it, over full scale (the largest normal force of the presses), share up
-to 2 %, 99 % and median; median of a stream; median where the sensor knows no motion of the image.
+Columns: frames; shifted ones that raise W611; still ones that do; single frames of presses, and of their force what the
+shift leaves: the difference to the same frame without it, over full scale (the largest normal force of the presses),
+share up to 2 %, 99 % and median; median of single frames at rest, where loads may be anywhere, and of a stream; median
+where the sensor knows no motion of the image.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Slip:
     `single` is the latter of `estimate`, `without` of a sensor that knows no motion; None where they were not asked.
     """
 
+    pressed: bool
     false: bool
     found: bool
     left: float
@@ -74,7 +76,7 @@ def slips(user: User, presses: list[Case], frames: int, seed: int) -> Iterator[S
             if k % AFTER < SINGLE:
                 single = apart(*(sensor.estimate(*frame) for frame in seen))
                 without = apart(*(fixed.follow(*frame) for frame in seen))
-            yield Slip(said(a), said(b), apart(a, b), single, without)
+            yield Slip(case is not rest, said(a), said(b), apart(a, b), single, without)
 
 
 def apart(one: ForceMap, other: ForceMap) -> float:
@@ -84,13 +86,15 @@ def apart(one: ForceMap, other: ForceMap) -> float:
 
 def line(name: str, found: list[Slip], full: float) -> str:
     """One row; `full` scale in N."""
-    single, without = (
-        np.array([v for s in found if (v := getattr(s, name)) is not None]) / full for name in ("single", "without")
+    single, still = (
+        np.array([s.single for s in found if s.single is not None and s.pressed is pressed]) / full
+        for pressed in (True, False)
     )
+    without = np.array([s.without for s in found if s.without is not None]) / full
     return (
         f"{name:28s} {len(found):6d} {np.mean([s.found for s in found]):6.1%} {np.mean([s.false for s in found]):6.1%} "
         f"{len(single):6d} {np.mean(single <= LEFT):6.1%} {np.quantile(single, 0.99):6.2%} {np.median(single):7.2%} "
-        f"{np.median([s.left for s in found]) / full:7.1%} {np.median(without):7.0%}"
+        f"{np.median(still):7.1%} {np.median([s.left for s in found]) / full:7.1%} {np.median(without):7.0%}"
     )
 
 
@@ -98,7 +102,7 @@ def line(name: str, found: list[Slip], full: float) -> str:
 def main(presses: int = 5, frames: int = 20, seed: int = 1) -> None:
     """Print the table."""
     print(f"{'':28s} {'frames':>6s} {'found':>6s} {'false':>6s} {'single':>6s} {'<= 2 %':>6s} {'99 %':>6s} "
-          f"{'median':>7s} {'stream':>7s} {'without':>7s}")  # fmt: skip
+          f"{'median':>7s} {'at rest':>7s} {'stream':>7s} {'without':>7s}")  # fmt: skip
     every: dict[str, list[Slip]] = {kind: [] for kind in KINDS}
     for which, (nu, noise) in enumerate(SETUPS):
         drawn = list(cases(presses, 10 * seed + which, gel=GELS[0], nu=nu, noise=noise))
