@@ -66,7 +66,7 @@ class FrequencyInversion:
     band : (float, float), optional
         Lines that are inverted (Hz). A transient behind a sampled model needs all of them; behind a table of FRFs
         (`structures.FrfModel`) its history comes out in the band of the table or in this part of it, tapered at the
-        ends: ``facts.history_band`` says where, and what of the record lies outside.
+        ends: ``facts.history_band`` and ``facts.history_ends`` say where, and what of the record lies outside.
     noise : float, array or Noise, optional
         Noise std of the sensors: of the amplitudes for spectra, of the samples for records, the root of the density
         (unit/sqrt(Hz)) for cross spectra. In the order of the model, or of `sensors` and then `validation`.

@@ -78,8 +78,9 @@ class Facts(Mapping[str, Any]):
     trusted_lines, trust_level, untold_power : float
         Share of the frequency lines that tell every load to this predicted relative error; a load that makes less than
         5 % of the response of a line does not count there. Largest share of the power of a load on the other lines.
-    history_band : str
-        In words: the lines that a history is made of, their tapers, and what of the record lies outside.
+    history_band, history_ends : str
+        In words: from where to where the lines go that a history is made of; their tapers, and what of the record lies
+        outside.
     averages, bandwidth, window
         Of cross spectra: independent averages, bandwidth of a line (Hz), name of the window.
     untested_sensors : tuple of str
@@ -143,6 +144,7 @@ class Facts(Mapping[str, Any]):
     bandwidth: float | None = fact("bandwidth of a line, Hz", "Hz")
     window: str | None = fact()
     history_band: str | None = fact("band of the history")
+    history_ends: str | None = fact("ends of that band")
     untested_sensors: tuple[str, ...] | None = fact("sensors that the others do not determine")
     offsets: tuple[str, ...] | None = fact("offsets of channels, estimated with the load")
     held_out: tuple[str, ...] | None = fact("prediction error of the sensors that were kept out")

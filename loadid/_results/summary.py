@@ -309,6 +309,8 @@ def state(estimate: LoadEstimate) -> str:
     if estimate.choice is not None:
         kind = estimate.choice.source.kind
         parts.append(f"noise level: {'from the residual' if kind in UNSTATED else NOISE.get(kind, kind)}")
+    if estimate.facts.history_band is not None:
+        parts.insert(0, f"what the load does in {estimate.facts.history_band}, and nothing else")
     if estimate.facts.explained is not None:
         parts.append(f"the harmonic explains {estimate.facts.explained:.1%} of the record")
     if estimate.validation is not None:

@@ -27,11 +27,11 @@ def beam(elements: int, modes: int) -> ForwardModel:
 
 
 def in_band(g: np.ndarray) -> np.ndarray:
-    """A history with half cosines over a tenth of the band at its ends, half a line beyond them."""
+    """A history with half cosines over a tenth of the band at its ends, half a line beyond them; below an octave."""
     f = np.fft.rfftfreq(2 * SAMPLES, DT)
     kept = f[(f >= LOW) & (f <= HIGH)]
     width, half = 0.1 * (kept[-1] - kept[0]), 0.5 * f[1]
-    rise, fall = (f - kept[0] + half) / width, (kept[-1] - f + half) / width
+    rise, fall = (f - kept[0] + half) / min(width, kept[0]), (kept[-1] - f + half) / width
     weight = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(rise, fall), 0, 1))
     return np.fft.irfft(np.fft.rfft(g, 2 * SAMPLES) * weight, 2 * SAMPLES)[:SAMPLES]
 

@@ -34,13 +34,13 @@ def hit() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def filtered(low: float, high: float) -> np.ndarray:
-    """The force in a band, half cosines over a tenth of it at both ends: sums of cosines, on the fine clock."""
+    """The force in a band, half cosines over a tenth of it, below over an octave at most: sums of cosines."""
     force = hit()[2]
     F = np.arange(0, N // 2) * RATE / N
     keep = (low <= F) & (high >= F)
-    edge = 0.1 * (F[keep][-1] - F[keep][0])
-    line = RATE / N
-    ramp = np.minimum((F - F[keep][0] + line / 2) / edge, (F[keep][-1] + line / 2 - F) / edge).clip(0, 1)
+    edge, line = 0.1 * (F[keep][-1] - F[keep][0]), RATE / N
+    below = min(edge, F[keep][0])
+    ramp = np.minimum((F - F[keep][0] + line / 2) / below, (F[keep][-1] + line / 2 - F) / edge).clip(0, 1)
     weight = np.where(keep, np.sin(np.pi / 2 * ramp) ** 2, 0.0)
     t = np.arange(N * FINE) / (RATE * FINE)
     out = np.zeros(N)
@@ -64,7 +64,8 @@ def test_the_force_in_the_band(band: tuple[float, float] | None, ends: tuple[flo
     assert np.linalg.norm(off) < 0.03 * np.linalg.norm(truth)
     assert np.mean(np.abs(off) < 1.96 * e.std[:, 0]) > 0.9
     assert np.sqrt(np.mean(e.std**2)) < 5 * np.sqrt(np.mean(off**2)) + 1e-9
-    assert e.facts.history_band.startswith(f"{ends[0]:g} to {ends[1]:g} Hz, tapered over")
+    assert e.facts.history_band == f"{ends[0]:g} to {ends[1]:g} Hz"
+    assert f"state: what the load does in {ends[0]:g} to {ends[1]:g} Hz" in e.summary()
     F = np.fft.rfftfreq(N, 1 / RATE)
     for shown in (e.load, e.response, e.residual):  # nothing of what lies outside
         beyond = np.abs(np.fft.rfft(shown, axis=0))[(ends[0] - 0.5 > F) | (ends[1] + 0.5 < F)]
@@ -77,7 +78,7 @@ def test_a_table_from_zero_to_nyquist_needs_no_taper() -> None:
     y, noise, force = hit()
     f = np.arange(N // 2 + 1) * RATE / N
     e = FrequencyInversion(FrfModel.of(structure(), f[1:]), signal="transient", noise=noise).estimate(y, 1 / RATE)
-    assert "no end" in e.facts.history_band
+    assert "no end" in e.facts.history_ends
     truth = force[::FINE]
     assert np.linalg.norm(e.load[:, 0] - truth) < 0.25 * np.linalg.norm(truth)  # accelerometers hear little at 1 Hz
 
@@ -100,3 +101,10 @@ def test_a_table_that_interpolates_takes_longer_records() -> None:
     model = FrfModel(f, structure().frf(f), sensors=structure().sensors, loads=structure().loads, interpolate=True)
     e = FrequencyInversion(model, signal="transient", noise=noise).estimate(longer, 1 / RATE)
     assert np.linalg.norm(e.load[:N, 0] - filtered(20.0, 299.75)) < 0.06 * np.linalg.norm(filtered(20.0, 299.75))
+
+
+def test_lines_off_the_grid_of_a_transform_are_named() -> None:
+    y, noise, _ = hit()
+    f = 20.3 + np.arange(280.0)
+    with pytest.raises(InputError, match=r"lines from 20\.3 to 299\.3 Hz, 1 Hz apart"):
+        FrequencyInversion(FrfModel.of(structure(), f), signal="transient", noise=noise).estimate(y, 1 / RATE)

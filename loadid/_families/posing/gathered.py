@@ -108,7 +108,8 @@ class BandPart:
     at : array of int, shape (lines,)
         Where they stand in the transform.
     weight : array, shape (lines,)
-        1 inside, falling to 0 as a half cosine over `TAPERED` of the band at an end that is not that of all lines.
+        1 inside, falling to 0 as a half cosine over `TAPERED` of the band, below over an octave at most, at an end that
+        is not that of all lines.
     edges : (float, float)
         Widths (Hz) of the two tapers, 0 where there is none.
     outside : float
@@ -131,7 +132,7 @@ class BandPart:
         return np.fft.irfft(self.whole(lines, padded), padded, axis=0)[:samples]
 
 
-TAPERED = 0.1  # of the band, at each end
+TAPERED = 0.1  # of the band, at each end; below over no more than an octave, where a hit has most of its force
 
 
 @dataclass(frozen=True)
@@ -284,11 +285,13 @@ def _of_banded(data: Data, model: Model, s: LineSettings) -> LineData:
     outside = float(1 - np.sum(weight**2 * energy[at]) / max(float(np.sum(energy)), np.finfo(float).tiny))
     part = BandPart(at, weight, edges, outside)
     ends = " and ".join(f"{e:.4g} Hz {end}" for e, end in zip(edges, ("below", "above"), strict=True) if e) or "no end"
-    told = f"{f[at[0]]:.6g} to {f[at[-1]]:.6g} Hz, tapered over {ends}; {outside:.1%} of the energy of the record is "
+    told = (
+        f"tapered over {ends}; {outside:.1%} of the energy of the record is outside, and so is what the load does there"
+    )
     return LineData(
         f[at], X[at][..., None], np.tile(samples * noise.level**2, (len(at), 1)), noise.known, noise.source, 1.0,
         "transient", data.rows, data.channels, data.inputs, data, padded, part, data.findings,
-        {"history_band": told + "outside, and so is what the load does there"}, **_origin([data]),
+        {"history_band": f"{f[at[0]]:.6g} to {f[at[-1]]:.6g} Hz", "history_ends": told}, **_origin([data]),
     )  # fmt: skip
 
 
@@ -302,7 +305,7 @@ def _length(model: Model, own: Array, data: Data) -> int:
     Raises
     ------
     InputError
-        A record longer than the spacing of the lines resolves.
+        Lines that are no multiples of one step; a record longer than the spacing of the lines resolves.
     """
     samples = len(data.values)
     if model.has_lines([0.5 * (own[0] + own[1])]).all() and model.has_lines(own).all():
@@ -311,7 +314,15 @@ def _length(model: Model, own: Array, data: Data) -> int:
     length = round(1 / (step * data.dt))
     even = abs(length * step * data.dt - 1) * own[-1] / step <= EVEN and length % 2 == 0
     on_lines = np.abs(own / step - np.round(own / step)).max() <= EVEN and np.ptp(np.diff(own)) <= EVEN * step
-    if length < samples or not (even and on_lines):
+    if not on_lines:
+        raise InputError(
+            "the lines of the table are not those of a transform", where="signal",
+            found=f"lines from {own[0]:.6g} to {own[-1]:.6g} Hz, {step:.6g} Hz apart (median)",
+            expected="lines at whole multiples of one step, 0 Hz among them or left out",
+            hint="export the lines as the analyser has them, or FrfModel(..., interpolate=True) where they are dense "
+            "beside the peaks",
+        )  # fmt: skip
+    if length < samples or not even:
         raise InputError(
             "the lines of the table are not those of a transform of this record", where="signal",
             found=f"lines every {step:.6g} Hz, a record of {samples * data.dt:.6g} s at {data.dt:.6g} s",
@@ -325,7 +336,7 @@ def _length(model: Model, own: Array, data: Data) -> int:
 def _tapered(f: Array, nyquist: float, step: float) -> tuple[NDArray[np.float64], tuple[float, float]]:
     """Weights of the lines of a band, and the widths of its tapers."""
     width = max(TAPERED * float(f[-1] - f[0]), 2 * step)
-    low = width if f[0] > 1.5 * step else 0.0
+    low = max(min(width, float(f[0])), 2 * step) if f[0] > 1.5 * step else 0.0
     high = width if f[-1] < nyquist - 0.5 * step else 0.0
     weight = np.ones(len(f))
     if low:
