@@ -96,6 +96,21 @@ def test_the_whole_chain(whole: tuple[MultilayerPad, ForceMap]) -> None:
     assert whole[1].provided == {"x": "tracked", "y": "tracked", "z": "measured"}
 
 
+@pytest.mark.parametrize("light", ["darker", "brighter", "lifted", "from one side"])
+def test_light_that_changes_moves_no_load(whole: tuple[MultilayerPad, ForceMap], light: str) -> None:
+    """Press, motion and pictures are exact and drawn; only the light of the last picture is another one."""
+    sensor, before = whole
+    image = picture(steps()[-1], 22).astype(float)
+    side = np.linspace(0.75, 1.1, image.shape[1])
+    other = {"darker": 0.6 * image, "brighter": 1.2 * image, "lifted": image + 20, "from one side": side * image}[light]
+    found = sensor.estimate(np.clip(np.round(other), 0, 255).astype(np.uint8), depth(steps()[-1]))
+    close(found, 0.97)
+    away = np.abs(found.resultant().value - before.resultant().value)[:3]
+    print(light, away, found.facts["lost"])
+    assert np.all(away < 0.004 * np.linalg.norm(PRESS.vector))
+    assert found.facts["lost"] == before.facts["lost"]
+
+
 def test_a_tenth_of_the_dots_removed() -> None:
     keep = np.sort(np.random.default_rng(1).permutation(520)[:468])
     sensor = chained(eye(), depth=depth())
