@@ -124,7 +124,7 @@ class TrackCertificate:
     told : bool
         The record tells a load from noise.
     loudest : float
-        Largest `loudness` of a stretch; 1 where the record holds none.
+        Largest `loudness` of a stretch, at least the NIS: all that a short record tells.
     """
 
     samples: int
@@ -233,7 +233,7 @@ def certify(
         sensors=tuple(sensors),
         time_constant=float(time_constant),
         lengths=tuple(lengths),
-        loudest=float(np.nanmax(loudness(normalised), initial=1.0)),
+        loudest=float(np.nanmax(loudness(normalised), initial=max(mean, 1.0))),
         robust_std=tuple(
             float(np.nanmedian(np.abs(x))) / QUARTILE if np.isfinite(x).any() else 1.0 for x in normalised.T
         ),
