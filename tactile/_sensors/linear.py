@@ -244,7 +244,8 @@ class LinearSensor(MarkedSensor):
         if not self.frozen or self.problem is None:
             return self.estimate(found, depth)
         y, flags = self._of_frame(found, depth, None)
-        return self._mapped(self._quick_map(self._deep(y)), y, None, flags, quick=True)
+        with alone(len(self.kept)):
+            return self._mapped(self._quick_map(self._deep(y)), y, None, flags, quick=True)
 
     def prepare(self) -> None:
         """Map a frame at rest, so that the first of a loop takes no longer than the others (`tactile.live` does).
