@@ -9,7 +9,7 @@ over the range of each force in that set.
 
 Run ``python -m case_studies.learned_resultant [DRAWS]``:
 prints the table and saves ``learned_resultant.png``; draws
-are kept in the folder ``learned_skin``.
+and maps are kept in the folder ``learned_skin``.
 """
 
 from __future__ import annotations
@@ -106,10 +106,12 @@ def by_physics(of: MultilayerPad, sets: Sets, count: int = GIVEN) -> list[Answer
     return out
 
 
-def by_learning(of: MultilayerPad, sets: Sets, engine: str, **settings: Any) -> list[Answers]:
+def by_learning(
+    of: MultilayerPad, sets: Sets, engine: str, folder: Path | None = None, **settings: Any
+) -> list[Answers]:  # fmt: skip
     """Maps of an engine, their tractions summed, and its map of the resultant."""
     name = {"linear": "LMMSE", "torch": "network"}[engine]
-    summed = learned(of, sets, engine, **settings)
+    summed = learned(of, sets, engine, folder=folder, **settings)
     direct = LearnedMap(of.model, engine=engine, output="resultant").fit(sets.training, **settings)
     return [
         *answered(f"{name}, summed", of, of_maps(summed.explained), sets),
@@ -154,12 +156,12 @@ def picture(rows: Sequence[Answers], path: Path) -> None:
 
 def main(draws: int = 5000) -> None:
     """Print the table, and save the picture."""
-    flat = sensor(deep=False)
-    sets = drawn(sensor(deep=True), Path("learned_skin"), draws).without_depth(flat)
+    flat, folder = sensor(deep=False), Path("learned_skin")
+    sets = drawn(sensor(deep=True), folder, draws).without_depth(flat)
     rows = by_physics(flat, sets)
     for engine in ("linear", "torch"):
         try:
-            rows += by_learning(flat, sets, engine)
+            rows += by_learning(flat, sets, engine, folder)
         except InputError as error:
             print(f"{engine}: {error.what}")
     print(show(rows, span(flat, sets)))

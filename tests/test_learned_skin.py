@@ -1,10 +1,11 @@
 """The case studies of learned skins on few presses: what the linear map draws, the forces, and the gel it never saw.
 
-Functions, not classes: one process draws the presses for all.
+The presses are kept in a file (`tests/learning/skin.py`); the first of each set is drawn anew.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import pytest
 from case_studies import learned_resultant, learned_skin
 from case_studies.learned_skin import Row, Sets, drawn, learned, sensor
 from loadid import LearnedMap
+from loadid.generate import TrainingSet
 from tactile import LearnedSensor, MultilayerPad
 
-DRAWS, TESTED = 520, 10
+from .learning import skin
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +26,8 @@ def flat() -> MultilayerPad:
 
 
 @pytest.fixture(scope="module")
-def sets(flat: MultilayerPad, tmp_path_factory: pytest.TempPathFactory) -> Sets:
-    whole = sensor(deep=True, camera=flat.eye)
-    return drawn(whole, tmp_path_factory.mktemp("skin"), DRAWS, tested=TESTED, workers=1).without_depth(flat)
+def sets(flat: MultilayerPad) -> Sets:
+    return skin.kept(flat)
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +41,35 @@ def rows(sets: Sets, linear: LearnedSensor) -> dict[tuple[str, str], Row]:
     return {(one.way, one.presses): one for one in found}
 
 
+def test_presses_that_are_kept_are_those_that_are_drawn(flat: MultilayerPad, sets: Sets, tmp_path: Path) -> None:
+    anew = drawn(sensor(deep=True, camera=flat.eye), tmp_path, 1, tested=1, workers=1).without_depth(flat)
+    assert list(anew.tests) == list(sets.tests)
+    for fresh, kept in zip((anew.training, *anew.tests.values()), (sets.training, *sets.tests.values()), strict=True):
+        one, same = fresh.read([0]), kept.read([0])
+        assert same.data == pytest.approx(one.data, abs=skin.STEP)
+        assert same.loads == pytest.approx(one.loads, abs=np.abs(one.loads).max() / skin.STEPS)
+        assert same.parameters["E"] == pytest.approx(one.parameters["E"], rel=1e-6)
+
+
 @pytest.mark.parametrize("presses", ["in the set", *learned_skin.UNSEEN])
 def test_force_and_band_of_few_presses(rows: dict[tuple[str, str], Row], presses: str) -> None:
     own = rows["linear", presses]
     assert own.normal < 0.2  # 5 to 7 % of 5000 presses
     assert 0.9 <= own.covered <= 1
     assert own.error < 1
+
+
+def test_a_map_that_was_learned_from_these_presses_is_kept(
+    flat: MultilayerPad, sets: Sets, linear: LearnedSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(LearnedSensor, "save", lambda one, path: Path(path).touch())
+    monkeypatch.setattr(LearnedSensor, "fit", lambda *_, **__: asked.append("fit") or linear)
+    monkeypatch.setattr(LearnedSensor, "read", lambda path, of: asked.append(Path(path).name) or linear)
+    part = TrainingSet.of(sets.training.read(slice(0, 300)), sensors=flat.model.sensors, loads=flat.model.loads)
+    for one in (sets, sets, replace(sets, training=part)):
+        assert learned(flat, one, "linear", folder=tmp_path) is linear
+    assert asked == ["fit", "linear, plane.h5", "linear, plane.h5", "fit"]
 
 
 def test_the_band_does_not_hold_on_another_gel(rows: dict[tuple[str, str], Row]) -> None:

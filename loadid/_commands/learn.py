@@ -193,10 +193,10 @@ def _fit(args: Namespace) -> int:
 
 
 def _check(args: Namespace) -> int:
-    from .._families.learned import load_map
+    from .._families.learned import map_alone
     from ..generate import TrainingSet
 
-    learned, training = load_map(args.source), TrainingSet.open(args.input)
+    learned, training = map_alone(args.source), TrainingSet.open(args.input)
     with Bar() as bar:
         found = learned.check(training, draws=args.draws, progress=bar)
     emit(args, found.to_dict(), str(found))

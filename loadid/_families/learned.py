@@ -542,3 +542,16 @@ def load_map(path: Any, *, model: Model | None = None, physics: Any = None) -> F
 
     parts = file.load(path, model)
     return FittedMap(**parts, physics=physics)
+
+
+def map_alone(path: Any) -> FittedMap:
+    """A learned map to be held against examples, also where its file keeps no more of the model than its response.
+
+    Raises
+    ------
+    InputError
+        As `load_map`, but for that model.
+    """
+    from .._learning import file
+
+    return FittedMap(**file.load(path, None, alone=True), physics=None)

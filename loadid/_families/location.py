@@ -40,7 +40,9 @@ from .posing.locating import (
     grid_of,
     noise_level,
     rivals_of,
+    shared,
 )
+from .posing.model_errors import ASSUMED
 
 Array = NDArray[np.float64]
 MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
@@ -73,7 +75,7 @@ class LocationSearch:
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own.
     noise, sensors
-        As for `Deconvolution`.
+        As for `Deconvolution`; of the errors of the model the gain of each sensor is in the band of the place.
     settings : mapping, optional
         Further settings of the family (``{"choice": "discrepancy"}``).
     allow : sequence of str
@@ -100,7 +102,7 @@ class LocationSearch:
     @takes(
         choice=(Lambda, "method"),
         search=(Search, "impacts refine places workers"),
-        noise=(Noise, "source"),
+        noise=(Noise, "source errors"),
         allow=(Guards, ""),
     )
     def __init__(
@@ -293,7 +295,9 @@ class LocationSearch:
             best = tuple(int(np.argmin(np.linalg.norm(grid.places - p, axis=1))) for p in found)
             sigma = noise_level(posed, residual2, chosen)
             covariance = np.zeros((len(found), *[found.shape[1]] * 2))
-            covariance[np.ix_(np.arange(len(found)), grid.used, grid.used)] = winner.covariance(sigma)
+            gain = {**ASSUMED, **(self.noise.errors or {})}["gain"]
+            spread = winner.covariance(shared(sigma, posed.sigma), gain)
+            covariance[np.ix_(np.arange(len(found)), grid.used, grid.used)] = spread
             rivals = rivals_of(solutions, winner, grid)
         posed = replace(posed, at=at)
         level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma

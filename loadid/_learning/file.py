@@ -11,6 +11,7 @@ import numpy as np
 
 from structures._channels import CHANNEL, Channel
 from structures._model import Model
+from structures._models.arrays import MatrixModel
 from structures.errors import InputError
 from structures.files import _modelfile as modelfile
 from structures.files import _storage as storage
@@ -23,7 +24,32 @@ from .outputs import Outputs
 from .training import require_channels
 
 KIND = "learned map"
-VERSION = 3
+VERSION = 4
+
+
+class KeptResponse(MatrixModel):
+    """The static response of a model that is kept in no file itself, known by what that one was.
+
+    Parameters
+    ----------
+    tree : mapping
+        Of the file of a map.
+    """
+
+    def __init__(self, tree: Mapping[str, Any]) -> None:
+        sensors, loads = ([Channel(**c) for c in tree[name]] for name in ("sensors", "loads"))
+        super().__init__(tree["static"], sensors=sensors, loads=loads)
+        self._of = str(tree["fingerprint"])
+
+    @property
+    def fingerprint(self) -> str:
+        """That of the model."""
+        return self._of
+
+    @property
+    def described(self) -> str:
+        """That of the model."""
+        return self._of
 
 
 def save(fitted: Any, path: Any) -> None:
@@ -35,6 +61,7 @@ def save(fitted: Any, path: Any) -> None:
         No place to write to.
     """
     model = fitted.model
+    kept = _bytes(model)
     tree = {
         "version": VERSION, "engine": fitted.engine.name, "map": dict(fitted.engine.arrays()),
         "outputs": vars(fitted.outputs), "factors": vars(fitted.factors), "novelty": fitted.novelty.arrays(),
@@ -42,13 +69,14 @@ def save(fitted: Any, path: Any) -> None:
         "along": fitted.along, "sums": fitted.sums,
         "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
         "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
-        "fingerprint": model.fingerprint, "model": _bytes(model),
+        "fingerprint": model.fingerprint, "model": kept,
+        "static": model.static() if kept is None and fitted.dt is None else None,
     }  # fmt: skip
     storage.write(path, tree, KIND)
 
 
-def load(path: Any, model: Model | None) -> dict[str, Any]:
-    """What a `FittedMap` is made of, physics aside.
+def load(path: Any, model: Model | None, *, alone: bool = False) -> dict[str, Any]:
+    """What a `FittedMap` is made of, physics aside; `alone`, where it need not answer what is strange.
 
     Raises
     ------
@@ -62,7 +90,9 @@ def load(path: Any, model: Model | None) -> dict[str, Any]:
     if model is not None:
         for what, own in (("sensor", model.sensors), ("load", model.loads)):
             require_channels([Channel(**c) for c in tree[f"{what}s"]], own, what, str(path))
-    model = _model(tree["model"], str(path)) if model is None else model
+    if model is None:
+        bare = alone and tree["model"] is None and tree["static"] is not None
+        model = KeptResponse(tree) if bare else _model(tree["model"], str(path))
     if model.fingerprint != tree["fingerprint"]:
         raise InputError("the map was learned for another model", where=str(path), found=model.fingerprint[:12],
                          expected=tree["fingerprint"][:12], hint="learn a map for this model")  # fmt: skip

@@ -135,7 +135,8 @@ class LearnedSensor(MarkedSensor):
         markers = sensor.markers.points[:, :2] if training.places is None else training.places
         model = SeenModel(sensor, columns_of(sensor, markers))
         learning = LearnedMap(model, engine=engine, seed=seed, progress=progress)
-        own = {"places": sensor.geometry["coordinates"][sensor.kept[::3] // 3], "seed": seed}
+        places = sensor.geometry["coordinates"][sensor.kept[::3] // 3]
+        own = {"places": places, "seed": seed, "sums": sensor.resultant[: len(AXES)]}
         fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
         facts = {**fitted.facts, "markers": markers, "resultant": band.tree(), "gels": drawn_gels(sensor, training)}

@@ -59,7 +59,8 @@ def presses(
     draws, seed : int
         How many, and what they follow from: the same draw is the same press, whatever else is asked.
     truth : Pad or sequence of Pad, optional
-        Finer pads of the same size, with their free edges, that move instead of the layer.
+        Finer pads of the same size, with their free edges, that move instead of the layer; where the declaration draws
+        nu or thickness of the gel, six pads of their mesh that fill these ranges.
     workers : int, optional
         Processes of this machine; all its cores where nothing is said.
     scheduler : str, optional

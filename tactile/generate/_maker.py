@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,7 @@ from ._readings import Taken, measured, noisy, photographed, seen
 from ._truth import CELLS, Edged, Ground, Move, spread_over
 
 GELS = 16  # pairs of Poisson's ratio and thickness that are drawn from, evenly over their ranges
+PADS = 6  # of them where pads move instead of the layer: each keeps its factor
 DIGITS = 10  # of lengths in m that count for who a sensor is
 
 
@@ -34,7 +36,8 @@ class PressMaker:
         On a flat rectangular pad, or on a layer.
     declared : PressDeclaration
     truth : sequence of Pad
-        That move instead of the layer, one of them for each press; empty: the layer.
+        That move instead of the layer, one of them for each press; empty: the layer. Where nu or thickness are drawn,
+        pads of their mesh with these.
 
     Raises
     ------
@@ -56,10 +59,6 @@ class PressMaker:
             if not np.allclose(pad.size, self.size, rtol=1e-6):
                 raise InputError("a pad of another size", where="presses, truth", found=str(pad.size),
                                  expected=str(self.size))  # fmt: skip
-        if self.truth and (declared.gel.nu is not None or declared.gel.thickness != (1.0, 1.0)):
-            raise InputError("pads of the truth have their own thickness and nu", where="presses, truth",
-                             found="ranges of [gel]", expected="E alone",
-                             hint="give several pads: each press takes one of them")  # fmt: skip
         self.inverse, self.markers_at = sensor.model.described, sensor.markers.points[:, :2]
         self.sensors = (*self.markers.channels, *([] if self.depth is None else self.depth.channels))
         self.loads = tuple(sensor.loads)
@@ -131,7 +130,7 @@ class PressMaker:
         d = self.declared
         weights = np.array([one.weight for one in d.indenter], float)
         chosen = d.indenter[int(rng.choice(len(weights), p=weights / weights.sum()))]
-        number = int(rng.integers(len(self.truth) or self._gels))
+        number = int(rng.integers(self._gels))
         ground, stiffness = self._ground(number), d.gel.draw(rng, "E")
         bodies = int(rng.integers(2, d.contact.bodies + 1)) if rng.random() < d.contact.several else 1
         move, told = self._move(chosen, rng, stiffness)
@@ -202,25 +201,31 @@ class PressMaker:
 
     # -- gels ---------------------------------------------------------------------------------------------------------
     @property
+    def _drawn_gels(self) -> bool:
+        """Whether nu or thickness are declared, and not those of the sensor or of the pads of the truth."""
+        return self.declared.gel.nu is not None or self.declared.gel.thickness != (1.0, 1.0)
+
+    @property
     def _gels(self) -> int:
-        gel = self.declared.gel
-        wide = [r is not None and r[0] < r[1] for r in (gel.nu, gel.thickness)]
-        return GELS if any(wide) else 1
+        gel, pads = self.declared.gel, len(self.truth)
+        if any(r is not None and r[0] < r[1] for r in (gel.nu, gel.thickness)):
+            return max(PADS, pads) if pads else GELS
+        return max(pads, 1)
 
     def _ground(self, number: int) -> Ground:
-        """The ground of a number: of a pad of the truth, or of one of the gels; kept."""
+        """The ground of a number: of one of the gels; kept."""
         if number not in self._grounds:
-            self._grounds[number] = self._new_ground(
-                self.truth[number].layer if self.truth else self._gel(number)
-            )  # fmt: skip
+            self._grounds[number] = self._new_ground(self._gel(number))
         return self._grounds[number]
 
     def _gel(self, number: int) -> Layer:
-        """A layer whose Poisson's ratio and thickness fill their ranges evenly (Halton), with the modulus stated."""
-        gel = self.declared.gel
-        nu, thick = gel.nu or (self.layer.nu,) * 2, gel.thickness
+        """The layer of a sensor or of a pad; where they are declared, nu and thickness fill their ranges (Halton)."""
+        own, gel = self.truth[number % len(self.truth)].layer if self.truth else self.layer, self.declared.gel
+        if not self._drawn_gels:
+            return own
+        nu, thick = gel.nu or (own.nu,) * 2, gel.thickness
         share = halton(number + 1, 2), halton(number + 1, 3)
-        return Layer(self.layer.h * (thick[0] + share[1] * (thick[1] - thick[0])), self.layer.E,
+        return Layer(self.layer.h * (thick[0] + share[1] * (thick[1] - thick[0])), own.E,
                      nu[0] + share[0] * (nu[1] - nu[0]))  # fmt: skip
 
     def _new_ground(self, layer: Layer) -> Ground:
@@ -231,7 +236,10 @@ class PressMaker:
     def _pad(self, number: int, ground: Ground) -> Edged:
         if number not in self._edged:
             points = [self._points(ground)] + ([] if self.depth is None else [self.depth.samples])
-            self._edged[number] = Edged(self.truth[number], ground, points)
+            pad = self.truth[number % len(self.truth)]
+            if self._drawn_gels:
+                pad = replace(pad, nu=ground.layer.nu, thickness=ground.layer.h)
+            self._edged[number] = Edged(pad, ground, points)
         return self._edged[number]
 
     def _points(self, ground: Ground) -> Array:

@@ -151,10 +151,10 @@ def test_the_scores_are_residuals_of_least_squares():
     assert found.ratio == pytest.approx(second / found.scores.min(), rel=1e-12)
 
 
-def refined(place=0.637, level=0.02, seed=0):
+def refined(place=0.637, level=0.02, seed=0, gains=1.0):
     """The refined place, and the objective as a function of the place by an independent fit."""
     record = struck(place, level, seed)
-    model, y = beam(CLEAR), record.values
+    model, y = beam(CLEAR), record.values * gains
     grid = grid_of(model, None)
     between = CandidateLoads(model, grid, DT, SAMPLES, "zoh")
     lam = search().choice * np.linalg.norm(toeplitz(between.h[:, :, 5:6]).reshape(-1, SAMPLES), 2) * np.ones(1)
@@ -192,6 +192,16 @@ def test_the_stated_std_is_the_scatter_of_the_places():
     assert 0.7 < np.median(std) / np.sqrt(np.mean(off**2)) < 1.5
     assert np.median(std / naive) > 1.2
     assert np.isinf(found[0].covariance(1e9)).all()
+
+
+def test_gains_of_sensors_are_in_the_band_of_the_place():
+    """Gains 2 % off, next to no noise: the places scatter as is said of gains, and far beyond what is of noise."""
+    count, rng = len(struck().values[0]), np.random.default_rng(2)
+    found = [refined(0.637, 1e-3, 0, 1 + 0.02 * rng.standard_normal(count))[0] for _ in range(16)]
+    off, sigma = np.array([r.place[0, 0] - 0.637 for r in found]), struck(0.637, 1e-3).channels[0].noise
+    std, by_noise = (np.array([np.sqrt(r.covariance(sigma, g)[0, 0, 0]) for r in found]) for g in (0.02, 0.0))
+    assert 0.7 < np.median(std) / np.sqrt(np.mean(off**2)) < 1.5
+    assert np.median(by_noise) < 0.3 * np.median(std)
 
 
 @pytest.mark.parametrize("place", [0.15, 0.637, 1.05, 1.849])

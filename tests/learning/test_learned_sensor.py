@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -266,6 +267,16 @@ def test_a_job_of_a_gel_pad_is_drawn_and_learned(tmp_path: Path, capsys: pytest.
     one, seen = LearnedSensor.read(kept, of), training.read(slice(0, 10))
     off = [away(one.explained(y), load) for y, load in zip(seen.data, seen.loads, strict=True)]
     assert np.median(off) < 0.7
+    (tmp_path / "other.toml").write_text(SKIN.replace("seed = 3", "seed = 4").replace('"presses"', '"other"'), "utf-8")
+    assert main(["learn", "generate", str(tmp_path / "other.toml"), "--draws", "20"]) == 0
+    capsys.readouterr()
+    assert main(["learn", "check", kept, str(tmp_path / "other"), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert row["draws"] == 20
+    assert row["error"] < 1  # of 100 presses
+    assert 0.85 <= row["coverage"] <= 1
+    assert main(["learn", "check", kept, str(tmp_path / "presses")]) == 3
+    assert "learned from this set" in capsys.readouterr().err
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(SKIN + 'output = "resultant"\n', "utf-8")
     assert main(["learn", "fit", str(wrong), "-o", str(tmp_path / "x.h5")]) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import ndimage
 
 from loadid._learning.network import architectures
 from loadid._learning.network.graph import OPERATIONS, Graph
-from loadid._learning.network.training import Pairs, Schedule, train
+from loadid._learning.network.training import Pairs, Schedule, Trained, train
 from structures.errors import InputError
 
 from .networks import FILE, SHAPES, by_torch, drawn, values, weighed
@@ -122,6 +123,42 @@ def test_training_repeats_and_goes_on_after_a_kill_to_the_same_bits(tmp_path: Pa
     assert np.array_equal(later.losses, whole.losses)
     assert all(np.array_equal(later.graph.weights[k], v) for k, v in whole.graph.weights.items())
     assert not kept.exists()
+
+
+def summed(n: int, seed: int) -> Pairs:
+    """Forty targets of much noise, the same in all of them: a tenth of it goes with what goes in."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((n, 3))
+    shared = 0.1 * np.abs(x[:, :1])
+    y = shared + rng.standard_normal((n, 40))
+    return Pairs(x, y, np.ones(n), np.ones((1, 40)), np.full(n, 4.0))
+
+
+def test_a_second_stage_brings_the_sums_and_goes_on_after_a_kill(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    graph, plan, kept = architectures.residual(3, 80, width=16, blocks=1), Schedule(5, 32, 5e-3), tmp_path / "c.h5"
+    fit, held = summed(400, 0), summed(100, 1)
+    whole = train(graph, fit, held, plan, seed=0)
+    plain = train(graph, replace(fit, sums=None, whole=None), replace(held, sums=None, whole=None), plan, seed=0)
+    assert np.array_equal(whole.losses[:5], plain.losses)
+    assert len(whole.losses) == 5 + plan.of_sums.epochs
+    assert whole.best >= 5
+
+    def killed(epoch: int, epochs: int) -> None:
+        if epoch == epochs == 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(graph, fit, held, plan, seed=0, progress=killed, checkpoint=kept)
+    later = train(graph, fit, held, plan, seed=0, checkpoint=kept)
+    assert np.array_equal(later.losses, whole.losses)
+
+    def missed(done: Trained) -> float:
+        fresh = summed(2000, 2)
+        found, wanted = done.graph(fresh.inputs)[:, :40].sum(axis=1), 4 * np.abs(fresh.inputs[:, 0])
+        return float(np.sqrt(np.mean((found - wanted) ** 2)))
+
+    assert missed(whole) < 0.9 * missed(plain)
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:

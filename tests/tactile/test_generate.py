@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from loadid import InputError
 from loadid.generate import TrainingSet
 from loadid.generate._work import drawn_as
 from tactile import Layer, Press, RigidBody, metrics, shapes
-from tactile.generate import ContactRange, IndenterRange, PressDeclaration, PressMaker, presses
+from tactile.generate import ContactRange, GelRange, IndenterRange, PressDeclaration, PressMaker, presses
 from tactile.generate._readings import seen
 from tactile.generate._truth import Ground, Move, spread_over
 
@@ -86,6 +87,21 @@ def test_another_mesh_moves_as_the_layer_does_far_from_its_edges() -> None:
     assert np.array_equal(a.loads, b.loads)
     assert np.linalg.norm(a.data - b.data) < 0.2 * np.linalg.norm(a.data)
     assert not np.array_equal(a.data, b.data)
+
+
+def test_pads_move_with_the_poissons_ratio_and_thickness_that_are_declared() -> None:
+    press = g.only(IndenterRange("sphere", radius=4e-3), x=0.0, y=0.0, depth=0.1e-3)
+    gels = GelRange(nu=(0.36, 0.44), thickness=(0.9, 1.1))
+    maker = PressMaker(g.marked(), replace(press, gel=gels), [g.pad()])
+    found = [drawn_as(maker, 3, k) for k in range(8)]
+    nu, thickness = (np.array([one.parameters[name] for one in found]) for name in ("nu", "thickness"))
+    assert 0.36 <= nu.min() < nu.max() <= 0.44
+    assert 0.9 * g.THICKNESS <= thickness.min() < thickness.max() <= 1.1 * g.THICKNESS
+    assert len(set(nu)) >= 4
+    own = replace(g.pad(), nu=float(nu[0]), thickness=float(thickness[0]))
+    alone = drawn_as(PressMaker(g.marked(), press, [own]), 3, 0)
+    assert found[0].data == pytest.approx(alone.data, abs=1e-9)
+    assert found[0].loads == pytest.approx(alone.loads, abs=1e-6 * np.abs(alone.loads).max())
 
 
 # -- draws ------------------------------------------------------------------------------------------------------------
@@ -232,8 +248,6 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
     pad = type(g.pad())(E=g.E, nu=g.NU, size=(10e-3, 10e-3), thickness=g.THICKNESS, pitch=1e-3, layers=2)
     with pytest.raises(InputError, match="another size"):
         PressMaker(g.marked(), g.only(SPHERE, depth=1e-4), [pad])
-    with pytest.raises(InputError, match="their own thickness"):
-        PressMaker(g.marked(), g.DECLARED, [g.pad()])
     with pytest.raises(InputError, match="linear sensor"):
         PressMaker(object(), g.DECLARED)  # type: ignore[arg-type]
     deep = g.only(IndenterRange("flat", radius=0.5e-3), x=5.9e-3, y=0.0, depth=1e-4)

@@ -335,6 +335,16 @@ def noise_level(posed: LocationProblem, residual2: float, chosen: CandidateSet) 
     return left if posed.sigma is None else max(left, posed.sigma)
 
 
+SHARING, NEAR = 4, 1.15  # readings that share an error of the model; residual over the noise that is no such error
+
+
+def shared(level: float, sigma: float | None) -> float:
+    """Noise level that counts for a place: what is far beyond the noise is shared by neighbours."""
+    if sigma is None or level < NEAR * sigma:
+        return level
+    return float(np.sqrt(sigma**2 + SHARING * (level**2 - sigma**2)))
+
+
 def basins(scores: Array, near: NDArray[Any], best: int) -> tuple[list[int], list[int]]:
     """Neighbours of the best, and local minima of the scores outside its neighbourhood; both best first."""
     lowest = np.array([np.min(scores[near[j]]) for j in range(len(scores))])

@@ -42,8 +42,8 @@ class Refined:
     fitted : FittedHistory
     curvature : array, shape (loads * dim, loads * dim)
         Upper triangular R: ``R^T R`` is the curvature of half the objective over the places.
-    noise : callable
-        Makes `chance`, which costs as much as the search and is asked of the winner alone.
+    noise, scaled : callable
+        Make `chance` and `gains`, which cost as much as the search and are asked of the winner alone.
     edge : bool
         A place came to rest on the bounds.
     settled : bool
@@ -54,6 +54,7 @@ class Refined:
     fitted: FittedHistory
     curvature: Array
     noise: Callable[[], Array]
+    scaled: Callable[[], Array]
     edge: bool
     settled: bool
 
@@ -62,23 +63,30 @@ class Refined:
         """Curvature that noise of unit level makes by itself: the histories that it feigns are moved too."""
         return self.noise()
 
+    @cached_property
+    def gains(self) -> Array:
+        """What the data of each sensor add to the slope of half the objective, (loads * dim, sensors)."""
+        return self.scaled()
+
     @property
     def objective(self) -> float:
         """Squared residual plus penalty."""
         return float(np.sum(self.fitted.remainder**2))
 
-    def covariance(self, sigma: float) -> Array:
+    def covariance(self, sigma: float, gain: float = 0.0) -> Array:
         """Covariance of the places (loads, dim, dim) at noise level `sigma`; infinite where the data tell nothing.
 
         With A the curvature and S what is left of it without the share of the noise, the slope of the objective at the
-        true place scatters by ``sigma^2 A``, and the place by ``sigma^2 S^-1 A S^-1``.
+        true place scatters by ``sigma^2 A``, and the place by ``sigma^2 S^-1 A S^-1``. Sensors whose gains are off by
+        independent errors of this relative std move it by ``S^-1`` times what each adds to the slope.
         """
         loads, dim = self.place.shape
         signal = np.einsum("ki,kj->ij", self.curvature, self.curvature) - sigma**2 * self.chance
         low, high = np.linalg.eigvalsh(signal)[[0, -1]]
         if low <= 1e-12 * max(high, np.finfo(float).tiny):
             return np.full((loads, dim, dim), np.inf)
-        half = sigma * np.linalg.solve(signal, self.curvature.T)
+        moved = [sigma * self.curvature.T, *([gain * self.gains] if gain else [])]
+        half = np.linalg.solve(signal, np.hstack(moved))
         full = (half @ half.T).reshape(loads, dim, loads, dim)
         return np.array([full[k, :, k] for k in range(loads)])
 
@@ -135,9 +143,12 @@ def refine(
         if taken < SETTLED * spacing:
             settled = True
             break
-    curvature = np.asarray(np.linalg.qr(_jacobian(model, solver, fitted), mode="r"))
+    J = _jacobian(model, solver, fitted)
+    curvature = np.asarray(np.linalg.qr(J, mode="r"))
     edge = bool(np.any((place <= bounds[0]) | (place >= bounds[1])))
-    return Refined(place, fitted, curvature, partial(_chance, model, solver, y.shape), edge, settled)
+    return Refined(
+        place, fitted, curvature, partial(_chance, model, solver, y.shape), partial(_gains, J, solver, y), edge, settled
+    )
 
 
 @dataclass(frozen=True)
@@ -176,6 +187,12 @@ def _chance(model: _Model, solver: HistoryFit, shape: tuple[int, ...]) -> Array:
     rng = np.random.default_rng(0)
     draws = [_jacobian(model, solver, solver.solve(rng.standard_normal(shape))) for _ in range(PROBES)]
     return np.asarray(np.mean([np.einsum("ki,kj->ij", J, J) for J in draws], axis=0))
+
+
+def _gains(J: Array, solver: HistoryFit, y: Array) -> Array:
+    """See `Refined.gains`: the remainder is linear in the data."""
+    own = (np.where(np.arange(y.shape[1]) == s, y, 0.0) for s in range(y.shape[1]))
+    return np.column_stack([J.T @ solver.solve(one).remainder for one in own])
 
 
 SHORTLIST = 5  # candidates that a single fit of the remainder puts first, and that are fitted jointly

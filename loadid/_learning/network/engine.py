@@ -24,6 +24,7 @@ from .training import Pairs, Schedule, Trained, train
 
 Array = NDArray[Any]
 CHUNK = 64  # examples that are mapped at once
+SMALL = 0.25  # of the median of sums, over the size of the readings: smaller ones count as these
 RUNNERS = ("numpy", "onnxruntime")
 
 
@@ -63,6 +64,7 @@ class NetworkEngine:
         *,
         seed: int = 0,
         places: Array | None = None,
+        sums: Array | None = None,
         schedule: Schedule | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
     ) -> Self:
@@ -77,6 +79,8 @@ class NetworkEngine:
             Of the first weights and of the order of the examples: the same seed gives the same bits.
         places : array (P, 2 or 3), optional
             Of the nodes that the loads act at, in their order: on a rectangular grid a U-shaped network maps them.
+        sums : array (k, outputs), optional
+            Sums of the outputs, as forces are of tractions: a U-shaped network is brought to meet these too.
         schedule : Schedule, optional
             How long and how fast.
         checkpoint : path, optional
@@ -92,7 +96,7 @@ class NetworkEngine:
         plan = schedule or Schedule()
         fitting, choosing = (_together(lesson, part, linear) for part in (lesson.fitting, lesson.choosing))
         form = _form(lesson, places, *fitting)
-        done = _trained(form, fitting, choosing, plan, seed, say, checkpoint)
+        done = _trained(form, fitting, choosing, sums, plan, seed, say, checkpoint)
         return cls(linear, form, done.graph, done.losses)
 
     @property
@@ -195,10 +199,10 @@ def _form(lesson: Lesson, places: Array | None, data: Array, mean: Array, truth:
 
 
 def _trained(
-    form: Form, fitting: tuple[Array, Array, Array], choosing: tuple[Array, Array, Array], plan: Schedule, seed: int,
-    say: Callable[[float, str], None], checkpoint: str | os.PathLike[str] | None,
+    form: Form, fitting: tuple[Array, Array, Array], choosing: tuple[Array, Array, Array], sums: Array | None,
+    plan: Schedule, seed: int, say: Callable[[float, str], None], checkpoint: str | os.PathLike[str] | None,
 ) -> Trained:  # fmt: skip
-    learned, held = (_pairs(form, *examples) for examples in (fitting, choosing))
+    learned, held = (_pairs(form, *examples, sums) for examples in (fitting, choosing))
     mirrors = form.mirrors if isinstance(form, Maps) and form.grid.components == 3 else None
     return train(
         form.graph(), learned, held, plan, seed=seed, mirrors=mirrors, checkpoint=checkpoint, mark=_mark(fitting),
@@ -206,8 +210,8 @@ def _trained(
     )  # fmt: skip
 
 
-def _pairs(form: Form, data: Array, mean: Array, truth: Array) -> Pairs:
-    """What goes in and what should come out; each static example counts by its relative error."""
+def _pairs(form: Form, data: Array, mean: Array, truth: Array, sums: Array | None) -> Pairs:
+    """What goes in and what should come out; each static example counts by its relative error, and so do its sums."""
     values, size = form.inputs(data, mean)
     targets = form.targets(truth - mean, size)
     weight = np.ones(len(data))
@@ -215,7 +219,10 @@ def _pairs(form: Form, data: Array, mean: Array, truth: Array) -> Pairs:
         whole = form.targets(truth, size).reshape(len(data), -1)
         power = np.mean(whole**2, axis=1)
         weight = np.median(power) / np.maximum(power, 0.1 * np.median(power))
-    return Pairs(values, targets, weight)
+    if sums is None or not isinstance(form, Maps):
+        return Pairs(values, targets, weight)
+    whole = np.linalg.norm(truth @ sums.T, axis=1) / size
+    return Pairs(values, targets, weight, form.sums(sums), np.maximum(whole, SMALL * np.median(whole)))
 
 
 def _mark(examples: tuple[Array, Array, Array]) -> str:

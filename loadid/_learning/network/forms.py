@@ -125,6 +125,10 @@ class Maps:
         """What the linear estimate lacks, as images."""
         return np.asarray(self.grid.image(rest / size[:, None]) / self.unit[2].astype(np.float32)[:, None, None])
 
+    def sums(self, rows: Array) -> Array:
+        """Sums ``rows (k, loads) @ loads`` as images (k, components, rows, columns) over targets of the network."""
+        return np.asarray(self.grid.image(rows) * self.unit[2].astype(np.float32)[:, None, None])
+
     def told(self, out: Array, size: Array) -> tuple[Array, Array]:
         """Correction and std of what came out."""
         k = self.grid.components
