@@ -186,7 +186,7 @@ def test_a_refusal_and_a_dead_server_are_told_on_the_page(browser: Any) -> None:
     assert "out of range" in found.text("#fault")
     found.page.evaluate("document.querySelector('#t').value = 0.1")
     found.again(lambda: found.page.dispatch_event("#t", "input"))
-    assert found.page.is_hidden("#fault")
+    wait(found.page, "document.querySelector('#fault').hidden")
     lab.close()
     found.page.wait_for_timeout(100)
     found.again(lambda: found.page.press("#lam", "Home"))
