@@ -303,6 +303,7 @@ MEANINGS = {
 }
 CUTS = (0.10, 0.30, 0.90)  # expected relative error between the grades
 CONTRADICTED = ("LID-W308", "LID-W318", "LID-W412")  # the data speak against the answer itself
+DRIFTING = {"LID-W519", "LID-W520"}  # together: a slow part that no sensor holds, of a filter that does not settle
 FEW, MANY = 2.5, 5.0  # degrees of freedom that explain so many times as many readings: a simple load, confirmed
 CHANCE = 0.01  # that noise alone looks as simple
 WHOLE = 0.99  # share of the unknowns that is fitted whole
@@ -415,7 +416,7 @@ def grade(estimate: LoadEstimate) -> Grade:
         letter = "C"
     if found and letter < "C":
         letter = LETTERS[LETTERS.index(letter) + 1]
-    if any(flag.code in CONTRADICTED or flag.code[4] == "E" for flag in found):
+    if any(flag.code in CONTRADICTED or flag.code[4] == "E" for flag in found) or {f.code for f in found} >= DRIFTING:
         letter = "D"
     family = str(estimate.provenance.get("family", ""))
     return Grade(letter, expected, MEASURED.get(family, {}).get(letter))

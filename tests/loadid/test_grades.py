@@ -50,6 +50,9 @@ def test_cautions_lower_it_and_contradiction_is_the_worst():
     assert of(0.6, CAUTION).grade.letter == "C"
     assert of(0.02, REFUTED).grade.letter == "D"
     assert of(0.02, replace(CAUTION, state=True)).grade.letter == "A"
+    held, slow = (replace(CAUTION, code=f"LID-{code}") for code in ("W519", "W520"))
+    assert of(0.02, held).grade.letter == of(0.02, slow).grade.letter == "B"
+    assert of(0.02, held, slow).grade.letter == "D"  # a track that drifts: 7 to 1000 times the load in three of 16
 
 
 def test_odds_are_those_of_the_family_and_are_not_made_up():
