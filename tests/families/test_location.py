@@ -12,7 +12,7 @@ import pytest
 from case_studies.impact_location import DT, NODES, SAMPLES, beam, half_sine, noisy, recorded
 from loadid import LocationResult, LocationSearch, NotIdentifiable, Search
 from loadid._families.posing import locating as posed_module
-from loadid._families.posing.locating import CandidateLoads, grid_of
+from loadid._families.posing.locating import CandidateLoads, grid_of, shared
 from loadid._inverse.convolved import fits
 from loadid._inverse.convolved import fits as alike
 from loadid._inverse.convolved import fits as scan
@@ -202,6 +202,13 @@ def test_gains_of_sensors_are_in_the_band_of_the_place():
     std, by_noise = (np.array([np.sqrt(r.covariance(sigma, g)[0, 0, 0]) for r in found]) for g in (0.02, 0.0))
     assert 0.7 < np.median(std) / np.sqrt(np.mean(off**2)) < 1.5
     assert np.median(by_noise) < 0.3 * np.median(std)
+
+
+def test_residuals_far_beyond_the_noise_count_for_more_than_themselves():
+    assert shared(2.0, None) == 2.0  # of noise that nobody stated the residual is all that is known
+    assert shared(1.1, 1.0) == 1.1  # by chance
+    assert shared(3.0, 1.0) == pytest.approx(np.sqrt(1 + 4 * 8))
+    assert shared(3e6, 1e6) == pytest.approx(1e6 * shared(3.0, 1.0))
 
 
 @pytest.mark.parametrize("place", [0.15, 0.637, 1.05, 1.849])
