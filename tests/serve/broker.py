@@ -132,9 +132,10 @@ def tortured(folder: Path, kills: int, *, seed: int = 0) -> dict[str, Any]:
             message.wait_for_publish(20)
         total = len(sent) // 2 * ROWS
         waited(lambda: all(_rows(folder / f"{name}.csv") >= total for name in lines), "the last row", 120)
+        waited(lambda: health(port).get("status") == "ok", "the last start")  # who starts does not hear a signal yet
         time.sleep(0.3)  # nothing more
         os.kill(nursery.process_id, signal.SIGTERM)
-        assert nursery.ended() == 0
+        assert (code := nursery.ended()) == 0, f"ended with {code}"
         client.disconnect()
         client.loop_stop()
     nursery.close()
