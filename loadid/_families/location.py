@@ -33,6 +33,7 @@ from .posing.locating import (
     CandidateLoads,
     CandidateVerdict,
     FactoredCandidates,
+    Grid,
     LocationProblem,
     Solution,
     basins,
@@ -43,6 +44,7 @@ from .posing.locating import (
     shared,
 )
 from .posing.model_errors import ASSUMED
+from .posing.placing import Placed, by_evidence
 
 Array = NDArray[np.float64]
 MEMORY = 1.5e9  # bytes of all factors together, up to which they are kept
@@ -59,7 +61,8 @@ class LocationSearch:
     Each load of the model is a candidate. Every one is fitted to the whole record by Tikhonov regularisation with the
     same lambda over the largest singular value of its own operator; the smallest residual wins. Between candidates the
     place is refined by Gauss-Newton steps, the history eliminated, with responses of the model at the very place where
-    it can move its loads, else interpolated over the grid. A family then rebuilds the load there.
+    it can move its loads, else interpolated over the grid. Hits, which a model with states tells, are put where the
+    evidence of loads that rest before and after is the largest. A family then rebuilds the load there.
 
     Parameters
     ----------
@@ -75,7 +78,7 @@ class LocationSearch:
     hold : {"foh", "zoh"}, optional
         How a load moves between samples; default the model's own.
     noise, sensors
-        As for `Deconvolution`; of the errors of the model the gain of each sensor is in the band of the place.
+        As for `Deconvolution`; errors of the model are in the band of the place of a hit, else gains of sensors alone.
     settings : mapping, optional
         Further settings of the family (``{"choice": "discrepancy"}``).
     allow : sequence of str
@@ -278,6 +281,12 @@ class LocationSearch:
         )  # fmt: skip
         return [first, *others]
 
+    def _hit(self, posed: LocationProblem, grid: Grid, winner: places.Refined, others: list[Solution]) -> Placed | None:
+        """Where the evidence puts hits; None where the record asks for none."""
+        self._progress(0.9, "places of hits by their evidence")
+        rivals = [(load, one.place[load]) for one, _, load in others if one is not winner]
+        return by_evidence(posed, grid, winner.place, rivals, self.noise.errors or {}, self.hold)
+
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
         self, posed: LocationProblem, chosen: places.CandidateSet, verdict: CandidateVerdict, solutions: list[Solution]
@@ -285,20 +294,26 @@ class LocationSearch:
         grid, norm = self.grid, float(np.linalg.norm(posed.y))
         residual2, best, at, covariance = chosen.fitted.residual2, chosen.indices, None, None
         rivals: tuple[Rival, ...] = ()
-        found = None if grid is None else grid.places[np.array(best)]
+        found, hit = None if grid is None else grid.places[np.array(best)], None
         sigma = noise_level(posed, residual2, chosen)
         edge = False
         if solutions and grid is not None:
             winner = min((s[0] for s in solutions), key=lambda r: r.fitted.residual2)
             residual2, at, edge = winner.fitted.residual2, winner.place, winner.edge
+            sigma = noise_level(posed, residual2, chosen)
+            hit = self._hit(posed, grid, winner, solutions)
+            if hit is None:
+                gain = {**ASSUMED, **(self.noise.errors or {})}["gain"]
+                spread = winner.covariance(shared(sigma, posed.sigma), gain)
+            else:
+                at, spread, edge = hit.place, hit.covariance, hit.edge
+                lam = np.array([float(posed.fits[j].lam[0]) for j in chosen.indices])
+                residual2 = posed.fit(posed.whitened(at), lam).solve(posed.y).residual2
             found = grid.full(at)
             best = tuple(int(np.argmin(np.linalg.norm(grid.places - p, axis=1))) for p in found)
-            sigma = noise_level(posed, residual2, chosen)
             covariance = np.zeros((len(found), *[found.shape[1]] * 2))
-            gain = {**ASSUMED, **(self.noise.errors or {})}["gain"]
-            spread = winner.covariance(shared(sigma, posed.sigma), gain)
             covariance[np.ix_(np.arange(len(found)), grid.used, grid.used)] = spread
-            rivals = rivals_of(solutions, winner, grid)
+            rivals = rivals_of(solutions, at, residual2, grid)
         posed = replace(posed, at=at)
         level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
         exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
@@ -308,6 +323,7 @@ class LocationSearch:
             noise_level=sigma, **posed.noise.source.facts, candidates=len(self.model.loads),
             sensors=len(posed.data.rows), exact=bool(exact), ratio=verdict.ratio,
             responses=posed.candidates.how if solutions else "candidates only",
+            place_by="candidates" if not solutions else "residual" if hit is None else "evidence of hits",
         )  # fmt: skip
         result = LocationResult(
             labels=[c.label for c in self.model.loads],

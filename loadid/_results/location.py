@@ -63,6 +63,8 @@ class LocationFacts(Facts):
         How responses between candidates were come by, in words.
     ratio : float
         Residual norm of the runner-up over that of the best.
+    place_by : str
+        What told the place between candidates: the residual, or the evidence of hits.
     """
 
     candidates: int | None = fact()
@@ -70,6 +72,7 @@ class LocationFacts(Facts):
     exact: bool | None = fact()
     responses: str | None = fact()
     ratio: float | None = fact()
+    place_by: str | None = fact()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -352,14 +352,12 @@ def basins(scores: Array, near: NDArray[Any], best: int) -> tuple[list[int], lis
     return [j for j in order if near[best, j]], [j for j in order if not near[best, j] and scores[j] <= lowest[j]]
 
 
-def rivals_of(solutions: list[Solution], winner: Refined, grid: Grid) -> tuple[Rival, ...]:
-    """Solutions at another place than the winner, closest in residual first."""
-    floor = np.finfo(float).tiny
+def rivals_of(solutions: list[Solution], place: Array, residual2: float, grid: Grid) -> tuple[Rival, ...]:
+    """Solutions elsewhere than the places found (loads, dim) of this squared residual, closest in residual first."""
     found = []
     for one, label, load in solutions:
-        away = float(np.linalg.norm(one.place - winner.place, axis=1).max())
-        if one is not winner and away > grid.spacing:
-            ratio = np.sqrt(one.fitted.residual2 / max(winner.fitted.residual2, floor))
-            place = tuple(float(v) for v in grid.full(one.place)[load])
-            found.append(Rival(place, label, float(ratio), load))
+        if float(np.linalg.norm(one.place - place, axis=1).max()) > grid.spacing:
+            ratio = np.sqrt(one.fitted.residual2 / max(residual2, np.finfo(float).tiny))
+            at = tuple(float(v) for v in grid.full(one.place)[load])
+            found.append(Rival(at, label, float(ratio), load))
     return tuple(sorted(found, key=lambda r: r.ratio))

@@ -1,0 +1,136 @@
+"""Places of hits by evidence: at the right place the load is a hit, which rests before it and after it.
+
+The residual of a load that may be anything at any time hardly tells places near a support from others: its history
+explains the noise too, and a penalty prefers the place that needs the smallest load. Under the local prior of
+`local_prior` the history is no more than a hit, and the likelihood of the data tells the place. Its variances and the
+place are improved by turns (evidence: D. MacKay, Neural Comput. 4 (1992) 415). The band is that of the place as one
+more parameter beside the errors of the model, linearised about the fit (`nuisances`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from .gaussian.local_variance import smoothed
+from .gaussian.record import WhitenedRecord
+from .local_prior import Fit, LocalPrior, errors_told, local_prior, with_memory, with_misfit
+from .nuisances import STEP, Nuisances
+
+Array = NDArray[np.float64]
+RecordAt = Callable[[Array], WhitenedRecord]
+TURNS, UPDATES = 4, 4  # of variances and place at most; of the variances at a place that is tried
+REACH = 0.2  # of a spacing, of the first steps
+TOLERANCE, FLAT = 1e-4, 1e-3  # of a spacing, and of the evidence, below which a step is the last
+ANYWHERE = 10.0  # spacings: std of a place before the data
+
+
+@dataclass(frozen=True, eq=False)
+class EvidentPlace:
+    """Places with the largest evidence.
+
+    Parameters
+    ----------
+    place : array, shape (loads, dim)
+    edge : bool
+        A place came to rest on the bounds.
+    prior : LocalPrior
+        With the misfit of the model.
+    """
+
+    place: Array
+    edge: bool
+    prior: LocalPrior
+
+    def covariance(self, record: RecordAt, errors: Nuisances | None, box: Array, spacing: float) -> Array:
+        """Second moments of the places about those found (loads, dim, dim), errors of the model counted.
+
+        Parameters
+        ----------
+        record : callable
+        errors : Nuisances or None
+            Errors of the model at the places found.
+        box : array, shape (dim, 2)
+        spacing : float
+        """
+        size, std = self.place.size, ANYWHERE * spacing
+        ahead = self.place + STEP * std <= box[:, 1]
+
+        def moved(at: Array) -> WhitenedRecord:
+            if errors is not None and not at[:size].any():
+                return errors.record(at[size:])
+            step = at[:size].reshape(self.place.shape)
+            return record(self.place + np.where(ahead, step, -step))
+
+        none: tuple[tuple[str, ...], list[Array]] = ((), [])
+        names, known = none if errors is None else (errors.names, [errors.covariance])
+        every = Nuisances((*("place",) * size, *names), block_diag(std**2 * np.eye(size), *known), moved)
+        told = errors_told(self.prior, every)
+        inside, step = told.covariance[:size, :size], told.step[:size]
+        seen = np.diag(inside) < (1 - FLAT) * std**2
+        full = np.where(seen[:, None] & seen, inside + np.outer(step, step), 0.0)
+        full[~seen, ~seen] = np.inf
+        loads, dim = self.place.shape
+        blocks = full.reshape(loads, dim, loads, dim)
+        return np.array([blocks[k, :, k] for k in range(loads)])
+
+
+def evident_place(
+    starts: Sequence[Array], record: RecordAt, box: Array, spacing: float, *, stated: bool
+) -> EvidentPlace | None:
+    """Find the places whose evidence is the largest; None where the record does not ask for a load that rests.
+
+    Parameters
+    ----------
+    starts : sequence of array, shape (loads, dim)
+        The best so far first.
+    record : callable
+        Places (loads, dim) -> the record over the states of a model with its loads there.
+    box : array, shape (dim, 2)
+        Bounds.
+    spacing : float
+        Of the candidates.
+    stated : bool
+        The noise is stated.
+    """
+    prior = local_prior(record(starts[0]), stated=stated)
+    if not prior.asked_for:
+        return None
+
+    def learned(old: Fit, at: Array) -> Fit:
+        fit = old.on(with_memory(record(at), prior.memory))
+        fit.climb(UPDATES, missing=fit.misfit2 > 0)
+        return fit
+
+    tried = [(learned(prior.fit, at), at) for at in starts]
+    fit, place = max(tried, key=lambda one: one[0].evidence)
+    for _ in range(TURNS):
+        before, place = place, _moved(fit, lambda at: with_memory(record(at), prior.memory), place, box, spacing)
+        fit = learned(fit, place)
+        if np.abs(place - before).max() < TOLERANCE * spacing:
+            break
+    prior = with_misfit(replace(prior, fit=fit, record=fit.record))
+    place = _moved(prior.fit, lambda at: with_memory(record(at), prior.memory), place, box, spacing)
+    fit = learned(prior.fit, place)
+    prior = replace(prior, fit=fit, record=fit.record, given=fit.variances(), noise=fit.r)
+    return EvidentPlace(place, bool(np.any((place <= box[:, 0]) | (place >= box[:, 1]))), prior)
+
+
+def _moved(fit: Fit, record: RecordAt, place: Array, box: Array, spacing: float) -> Array:
+    """The place of the largest evidence under variances that stay."""
+    from scipy.optimize import minimize
+
+    given, bounds, flat = fit.variances(), np.tile(box, (len(place), 1)), place.ravel()
+
+    def cost(at: Array) -> float:
+        return -smoothed(record(at.reshape(place.shape)), given).evidence
+
+    step = np.where(flat + REACH * spacing <= bounds[:, 1], REACH, -REACH) * spacing
+    found = minimize(cost, flat, method="Nelder-Mead", bounds=bounds,
+                     options={"initial_simplex": np.vstack([flat, flat + np.diag(step)]),
+                              "xatol": TOLERANCE * spacing, "fatol": FLAT})  # fmt: skip
+    return np.asarray(found.x).reshape(place.shape)
