@@ -83,17 +83,19 @@ def _of_samples(given: Noise, model: Model, data: Data) -> NoiseLevel:
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
         return NoiseLevel(found[0], True, found[1])
-    scale = data.rms
-    if len({c.unit for c in data.channels}) < 2:
-        scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
-    if np.any(scale == 0):
+    moved = np.where(data.missing, data.values[0], data.values) != data.values[0]
+    dead = ~np.any(moved, axis=0)
+    if np.any(dead) and len(data.values) > 1 and (not np.all(dead) or not np.any(data.values)):
         raise InputError(
-            "a channel is zero throughout",
+            "a channel is the same throughout",
             where="record",
-            found=[c.label for c, s in zip(data.channels, scale, strict=True) if s == 0],
+            found=[c.label for c, still in zip(data.channels, dead, strict=True) if still],
             expected="a response",
             hint=Advice(Spelling("leave the channel out (sensors=[...])", "calibrate a model without this channel")),
         )
+    scale = data.rms
+    if len({c.unit for c in data.channels}) < 2:
+        scale = np.full(count, float(np.sqrt(np.mean(scale**2))))
     return NoiseLevel(scale, False, NOT_KNOWN)
 
 
