@@ -133,7 +133,7 @@ class LearnedMap:
         novelty = Novelty.learn(lesson)
         self._progress(0.8, "calibrating the std and the alarm")
         map_ = FittedMap(
-            self.model, learned, self.outputs, Factors.none(lesson.outputs), novelty, lesson.scale, dt,
+            self.model, learned, self.outputs, Factors.none(self.outputs.group_of), novelty, lesson.scale, dt,
             self.physics,
             {"coverage": self.coverage, "draws": len(training), "training": training.fingerprint,
              "gaps": has_gaps(training), "hold": self.hold, **span_facts(learned, self.outputs.labels)},
@@ -310,7 +310,9 @@ class FittedMap(ReadOnly):
         return checked(self, held_out, Progress(progress), draws)
 
     # -- real records -------------------------------------------------------------------------------------------------
-    def adapted(self, more: Sequence[tuple[Any, Any]], *, of_sums: Callable[[Array], Array] | None = None) -> FittedMap:
+    def adapted(
+        self, more: Sequence[tuple[Any, Any]], *, of_sums: Callable[[Array, Array], Array] | None = None
+    ) -> FittedMap:
         """The map with gain, bias, noise and alarm adapted to a few real records of known force.
 
         What a gain and a bias are off by is in the std afterwards.
@@ -321,7 +323,7 @@ class FittedMap(ReadOnly):
             Known loads (loads,) or (samples, loads), or a mapping from the label of a resultant to its value (N, N m).
             Records of no load (all zero) tell the bias of the sensors.
         of_sums : callable, optional
-            Std of the resultants (resultants,), of the std of outputs (outputs,), where it is known better.
+            Std of the resultants (resultants,), of outputs and their std (outputs,), where it is known better.
 
         Raises
         ------
@@ -454,32 +456,33 @@ class FittedMap(ReadOnly):
 
 def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
     """With factors of the std and limits of the alarm from the draws kept apart."""
-    errors, stds, scores = [], [], []
-    plain = Factors.none(lesson.outputs, _share(map_, lesson))
+    errors, means, stds, scores = [], [], [], []
+    plain = Factors.none(map_.outputs.group_of, _share(map_, lesson, coverage))
     if lesson.dt is not None:
         map_ = replace(map_, novelty=_settled(map_, lesson))
     for data, truth in lesson.batches(lesson.calibrating):
         mean, std = map_.engine.predict(data)
         errors.append(mean - truth)
+        means.append(mean)
         stds.append(plain.grown(mean, std))
         white = _white(map_, lesson, data, mean)
         scores += [map_.novelty.scores(x, None if white is None else white[i]) for i, x in enumerate(data)]
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
-    off, std = np.concatenate(errors), np.concatenate(stds)
-    found = calibrated(off, std, map_.outputs.group_of, coverage, reach, plain.share)
+    off, mean, std = np.concatenate(errors), np.concatenate(means), np.concatenate(stds)
+    found = calibrated(off, mean, std, map_.outputs.group_of, coverage, reach, plain.share)
     if lesson.dt is not None:
-        std = found.multiplied(std)
+        std = found.multiplied(mean, std)
         along = over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0))
         map_ = replace(map_, along=along, sums=1.0 if along is None else of_sums(off, std, along, coverage))
     return replace(map_, factors=found, novelty=map_.novelty.judged(scores, samples))
 
 
-def _share(map_: FittedMap, lesson: Lesson) -> Array:
+def _share(map_: FittedMap, lesson: Lesson, coverage: float) -> Array:
     """How errors grow with the load, by the examples that choose."""
     found = [(truth, *map_.engine.predict(data)) for data, truth in lesson.batches(lesson.choosing)]
     truth, mean, std = (np.concatenate(column) for column in zip(*found, strict=True))
-    return grown(mean - truth, std, mean, map_.outputs.group_of)
+    return grown(mean - truth, std, mean, map_.outputs.group_of, coverage)
 
 
 def _settled(map_: FittedMap, lesson: Lesson) -> Novelty:

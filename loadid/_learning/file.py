@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from .outputs import Outputs
 from .training import require_channels
 
 KIND = "learned map"
-VERSION = 4
+VERSION = 5
 
 
 class KeptResponse(MatrixModel):
@@ -37,7 +37,7 @@ class KeptResponse(MatrixModel):
     """
 
     def __init__(self, tree: Mapping[str, Any]) -> None:
-        sensors, loads = ([Channel(**c) for c in tree[name]] for name in ("sensors", "loads"))
+        sensors, loads = (_channels(tree[name]) for name in ("sensors", "loads"))
         super().__init__(tree["static"], sensors=sensors, loads=loads)
         self._of = str(tree["fingerprint"])
 
@@ -67,8 +67,7 @@ def save(fitted: Any, path: Any) -> None:
         "outputs": vars(fitted.outputs), "factors": vars(fitted.factors), "novelty": fitted.novelty.arrays(),
         "scale": fitted.scale, "dt": fitted.dt, "facts": dict(fitted.facts), "adaptation": vars(fitted.adaptation),
         "along": fitted.along, "sums": fitted.sums,
-        "sensors": [{k: getattr(c, k) for k in CHANNEL} for c in model.sensors],
-        "loads": [{k: getattr(c, k) for k in CHANNEL} for c in model.loads],
+        "sensors": _table(model.sensors), "loads": _table(model.loads),
         "fingerprint": model.fingerprint, "model": kept,
         "static": model.static() if kept is None and fitted.dt is None else None,
     }  # fmt: skip
@@ -89,7 +88,7 @@ def load(path: Any, model: Model | None, *, alone: bool = False) -> dict[str, An
                          expected=VERSION, hint="read it with the release that wrote it")  # fmt: skip
     if model is not None:
         for what, own in (("sensor", model.sensors), ("load", model.loads)):
-            require_channels([Channel(**c) for c in tree[f"{what}s"]], own, what, str(path))
+            require_channels(_channels(tree[f"{what}s"]), own, what, str(path))
     if model is None:
         bare = alone and tree["model"] is None and tree["static"] is not None
         model = KeptResponse(tree) if bare else _model(tree["model"], str(path))
@@ -103,6 +102,19 @@ def load(path: Any, model: Model | None, *, alone: bool = False) -> dict[str, An
         "dt": tree["dt"], "facts": _plain(tree["facts"]), "adaptation": Adaptation.from_arrays(tree["adaptation"]),
         "along": tree["along"], "sums": float(tree["sums"]),
     }  # fmt: skip
+
+
+def _table(channels: Sequence[Channel]) -> dict[str, Any]:
+    """Channels column by column, None of what none has: a file of some thousand of them is read in a moment."""
+    columns = {name: [getattr(one, name) for one in channels] for name in CHANNEL}
+    return {name: None if all(value is None for value in column) else column for name, column in columns.items()}
+
+
+def _channels(table: Mapping[str, Any]) -> list[Channel]:
+    """Inverse of `_table`."""
+    count = len(table["label"])
+    columns = [[None] * count if table[name] is None else table[name] for name in CHANNEL]
+    return [Channel(**dict(zip(CHANNEL, values, strict=True))) for values in zip(*columns, strict=True)]
 
 
 def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:

@@ -134,7 +134,12 @@ class Known:
         return bool(np.any(self.values))
 
     def against(
-        self, mean: Array, std: Array, W: Array | None, together: float, of_sums: Callable[[Array], Array] | None = None
+        self,
+        mean: Array,
+        std: Array,
+        W: Array | None,
+        together: float,
+        of_sums: Callable[[Array, Array], Array] | None = None,
     ) -> Told:
         """What is known beside what a map says.
 
@@ -146,14 +151,14 @@ class Known:
         together : float
             Samples that err together.
         of_sums : callable, optional
-            Std of all resultants, of the std of outputs.
+            Std of all resultants, of outputs and their std.
         """
         mean, std = mean[0], std[0]
         if self.sums is None:
             return Told(mean, None, np.broadcast_to(self.values, mean.shape), std, W, together)
         each = std.reshape(-1, std.shape[-1]).mean(axis=0)
         if of_sums is not None:
-            error = of_sums(each)[self.rows]
+            error = of_sums(mean.reshape(-1, mean.shape[-1]).mean(axis=0), each)[self.rows]
         else:
             error = np.sqrt(self.sums**2 @ each**2) if W is None else np.linalg.norm((W * each) @ self.sums.T, axis=0)
         return Told(mean, self.sums, self.values, error, None, 1.0)

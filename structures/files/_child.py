@@ -31,7 +31,7 @@ from ..errors import InputError
 
 PATIENCE = 4.0  # seconds of processor time that a small file may take
 SPEED = 1e7  # bytes per second that a large one must at least be read with
-LOADED = 15.0  # times as long it may take on a machine that has other work
+LOADED = 15.0  # times as long it may take, once and again, while the machine gives it some time beside other work
 MEMORY = 2**33  # bytes of addresses of the child
 Arrays = list[NDArray[Any]]
 _START = "import sys; sys.path.append(sys.argv[1]); from structures.files._child import serve; serve()"
@@ -80,14 +80,13 @@ def apart(
     with _lock:
         child = _running()
         stdin, stdout = _pipes(child)
-        late = threading.Timer(limit * (LOADED if _CAN_COUNT else 1.0), child.kill)
-        late.start()
+        late = _Late(child, limit * (LOADED if _CAN_COUNT else 1.0))
         try:
             _send(stdin, {"task": task, "seconds": limit, "request": dict(request)})
             answer = _receive(stdout)
             arrays = [_array(stdout, np.dtype(kind), tuple(shape)) for kind, shape in answer.get("arrays", ())]
         except (OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError):
-            in_time = late.is_alive() and not _out_of_time(child)
+            in_time = late.waits and not _out_of_time(child)
             stop()
             raise InputError(
                 f"the {reader} library {'crashed' if in_time else 'hangs'} on this file",
@@ -100,10 +99,48 @@ def apart(
             stop()
             raise
         finally:
-            late.cancel()
+            late.end()
     if "error" in answer:
         raise InputError(**{k: from_plain(v) for k, v in answer["error"].items()})
     return answer["data"], arrays
+
+
+class _Late:
+    """Ends a child that does not come back; one that still computes is waited for: its processor time is limited.
+
+    Parameters
+    ----------
+    child : Popen
+    seconds : float
+        After which it is looked at, and again after as many.
+    """
+
+    def __init__(self, child: subprocess.Popen[bytes], seconds: float) -> None:
+        self.waits, self._child, self._seconds = True, child, seconds
+        self._over = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        used = _used(self._child.pid)
+        while not self._over.wait(self._seconds):
+            before, used = used, _used(self._child.pid)
+            if used is None or before is None or used <= before:
+                self.waits = False
+                self._child.kill()
+                return
+
+    def end(self) -> None:
+        """Nothing is waited for any more."""
+        self._over.set()
+
+
+def _used(pid: int) -> int | None:
+    """Processor time of a process in ticks of the system; None where it does not say."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        return int(words[11]) + int(words[12])
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def stop() -> None:

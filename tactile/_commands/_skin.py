@@ -29,7 +29,7 @@ from ..generate import ContactRange, IndenterRange, PressDeclaration, presses
 from ..vision._images import grid
 
 DRAWS, CHOSEN = 1500, 6
-TESTED, ASKED, DEEP = 24, 4, 2  # presses that maps answer, those of them that the physics does, too deep ones
+TESTED, ASKED, DEEP = 48, 4, 2  # presses that maps answer, those of them that the physics does, too deep ones
 SIZE, THICKNESS, E, NU, NOISE = (12e-3, 12e-3), 2.5e-3, 147e3, 0.45, 2e-6
 KNOWN = (
     IndenterRange("sphere", 2.0, radius=(2e-3, 6e-3)),
@@ -38,7 +38,7 @@ KNOWN = (
     IndenterRange("polygon", radius=(1e-3, 2e-3), corners=(3, 6)),
 )
 RING = IndenterRange("ring", outer=(1.6e-3, 2e-3), inner=(1e-3, 1.3e-3))
-PLATE = IndenterRange("flat", radius=(3e-3, 3.4e-3), depth=(1.1e-3, 1.3e-3))
+PLATE = IndenterRange("flat", radius=(3.4e-3, 3.8e-3), depth=(1.4e-3, 1.6e-3))
 PLAN = Schedule(epochs=12, batch=32, rate=3e-3)
 WITHIN, MIDDLE = (-3e-3, 3e-3), (-1e-3, 1e-3)
 FILES = {"map": "map.h5", "plot": "map.png"}
@@ -128,7 +128,9 @@ def _drawn(
     of: MultilayerPad, bodies: Sequence[IndenterRange], folder: Path, draws: int, seed: int, progress: Any,
     within: tuple[float, float] = WITHIN,
 ) -> TrainingSet:  # fmt: skip
-    contact = ContactRange(x=within, y=within, depth=(0.1e-3, 0.4e-3), shear=(0.0, 0.25e-3), friction=(0.3, 0.9))
+    several: dict[str, Any] = {"bodies": 3, "several": 0.3, "apart": (1.2e-3, 2.5e-3)} if bodies is KNOWN else {}
+    contact = ContactRange(x=within, y=within, depth=(0.1e-3, 0.4e-3), shear=(0.0, 0.25e-3), friction=(0.3, 0.9),
+                           **several)  # fmt: skip
     return presses(of, PressDeclaration(bodies, contact), folder, draws=draws, seed=seed, progress=progress)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from loadid._families.learned import PARTS, FittedMap, LearnedMap, load_map
 from loadid._guards import outside_training
-from loadid._learning.calibration import quantile
+from loadid._learning.calibration import grown, quantile
 from loadid._learning.outputs import words
 from loadid._results.facts import provenance
 from structures._flags import Flag
@@ -138,7 +138,7 @@ class LearnedSensor(MarkedSensor):
         places = sensor.geometry["coordinates"][sensor.kept[::3] // 3]
         own = {"places": places, "seed": seed, "sums": sensor.resultant[: len(AXES)]}
         fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
-        band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[2], sensor.resultant)
+        band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[1:], sensor.resultant)
         facts = {**fitted.facts, "markers": markers, "resultant": band.tree(), "gels": drawn_gels(sensor, training)}
         return cls(sensor, replace(fitted, facts=facts))
 
@@ -207,7 +207,7 @@ class LearnedSensor(MarkedSensor):
             "band": f"error of the map on draws kept apart, coverage {self.fitted.facts['coverage']:.0%}{self._known}",
         })  # fmt: skip
         felt = self.sensor.resultant @ shared.T
-        covariance = self._band.covariance(own, self.sensor.resultant) + felt @ felt.T
+        covariance = self._band.covariance(load, own, self.sensor.resultant) + felt @ felt.T
         told_by_set = (*flags, *self.fitted.span_flags)
         return self.sensor.answered(load, std, covariance, facts, flags=told_by_set, provenance=self._about)
 
@@ -239,7 +239,7 @@ class LearnedSensor(MarkedSensor):
         more = [(self._whole(y, ~np.isfinite(y))[self._columns], dict(zip(AXES, map(float, w.force), strict=True)))
                 for y, w in zip(readings, wrenches, strict=True)]  # fmt: skip
         R, band = self.sensor.resultant, self._band
-        fitted = self.fitted.adapted(more, of_sums=lambda std: np.sqrt(np.diag(band.covariance(std, R))))
+        fitted = self.fitted.adapted(more, of_sums=lambda load, std: np.sqrt(np.diag(band.covariance(load, std, R))))
         return type(self)(self.sensor, fitted)
 
     def zero(self, frames: Sequence[Any], depths: Sequence[DepthMap] | None = None) -> Self:
@@ -284,7 +284,9 @@ class LearnedSensor(MarkedSensor):
         drawn = self.fitted.facts.get("gels", {})
         told = {name: np.hypot(value, drawn.get(name, 0.0)) for name, value in vars(self._left).items()}
         said = [f"{name} {value:.3g}" for name, value in told.items() if value]
-        return f"; std of the gel, {', '.join(said)}" if said else ""
+        std = [f"std of the gel, {', '.join(said)}"] if said else []
+        forces = ["modulus by known forces"] if self.fitted.adaptation.records else []
+        return "; " + ", ".join(std + forces or ["gel taken as exactly known"])
 
     def _by_physics(self, y: Array, flags: Sequence[Flag | None], wrench: Wrench | None, verdict: Any) -> ForceMap:
         """The sensor's own map, and why."""
@@ -340,36 +342,48 @@ class ResultantBand:
     ----------
     factors : array (6,)
     correlation : array (6, 6)
+    share : array (6,)
+        Of the resultant itself, which its error grows by.
     """
 
     factors: Array
     correlation: Array
+    share: Array
 
     @classmethod
-    def calibrated(cls, fitted: FittedMap, kept: Any, resultant: Array) -> Self:
-        """By the conformal quantile of the draws that were kept apart."""
-        found = []
-        for batch in kept.batches(256):
-            told = fitted.predict(np.asarray(batch.data, float))
-            error = (told.mean - batch.loads) @ resultant.T
-            found.append(error / _alone(told.std, resultant))
-        ratio = np.concatenate(found)
-        factors = np.array([quantile(np.abs(column), fitted.facts["coverage"]) for column in ratio.T]) / Z95
-        return cls(factors, np.corrcoef(ratio.T))
+    def calibrated(cls, fitted: FittedMap, parts: Sequence[Any], resultant: Array) -> Self:
+        """By the conformal quantile of the draws that were kept apart, the share by those that chose (two parts)."""
+        coverage, own = fitted.facts["coverage"], np.arange(len(resultant))
+        errors, stds, forces = _of_resultants(fitted, parts[0], resultant)
+        share = grown(errors, stds, forces, own, coverage)
+        errors, stds, forces = _of_resultants(fitted, parts[1], resultant)
+        ratio = errors / np.hypot(stds, share * forces)
+        factors = np.array([quantile(np.abs(column), coverage) for column in ratio.T]) / Z95
+        return cls(factors, np.asarray(np.corrcoef(ratio.T)), share)
 
-    def covariance(self, std: Array, resultant: Array) -> Array:
-        """Covariance (6, 6) of the resultant of loads with std (n,)."""
-        size = self.factors * _alone(std, resultant)
+    def covariance(self, load: Array, std: Array, resultant: Array) -> Array:
+        """Covariance (6, 6) of the resultant of loads (n,) with their std."""
+        size = self.factors * np.hypot(_alone(std, resultant), self.share * (resultant @ load))
         return np.asarray(size[:, None] * self.correlation * size)
 
     def tree(self) -> dict[str, Array]:
         """What a file keeps."""
-        return {"factors": self.factors, "correlation": self.correlation}
+        return {"factors": self.factors, "correlation": self.correlation, "share": self.share}
 
     @classmethod
     def of(cls, tree: Mapping[str, Any]) -> Self:
         """Inverse of `tree`."""
-        return cls(np.asarray(tree["factors"], float), np.asarray(tree["correlation"], float))
+        return cls(*(np.asarray(tree[name], float) for name in ("factors", "correlation", "share")))
+
+
+def _of_resultants(fitted: FittedMap, kept: Any, resultant: Array) -> tuple[Array, Array, Array]:
+    """Errors of the resultants (n, 6), their stds if all loads erred independently, and what the map says of them."""
+    found = []
+    for batch in kept.batches(256):
+        told = fitted.predict(np.asarray(batch.data, float))
+        found.append(((told.mean - batch.loads) @ resultant.T, _alone(told.std, resultant), told.mean @ resultant.T))
+    errors, stds, forces = (np.concatenate(column) for column in zip(*found, strict=True))
+    return errors, stds, forces
 
 
 def _alone(std: Array, resultant: Array) -> Array:

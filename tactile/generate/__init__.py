@@ -54,7 +54,8 @@ def presses(
     sensor : MultilayerPad or GelForce
         On a flat rectangular pad or on a layer.
     declaration : PressDeclaration or path
-        What is drawn, or a TOML file that says so.
+        What is drawn, or a TOML file that says so. What it does not say of the gel lies within the tolerances of the
+        sensor.
     folder : path
     draws, seed : int
         How many, and what they follow from: the same draw is the same press, whatever else is asked.

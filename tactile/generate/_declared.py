@@ -19,11 +19,14 @@ from structures import _toml
 from structures.errors import InputError, number, one_of, positive, shown
 
 from .._pad.table import TomlTable
+from .._pad.tolerances import Tolerances
 
 SIZES = {  # kind of body -> what it is measured by
     "sphere": ("radius",), "cylinder": ("radius", "length"), "flat": ("radius",), "ring": ("outer", "inner"),
     "bar": ("length", "width"), "edge": ("slope", "length"), "cone": ("slope",), "polygon": ("radius", "corners"),
 }  # fmt: skip
+EVEN = 3**0.5  # half the width of an even distribution of unit std
+LEAST, SOFTEST = 0.1, 0.495  # share of modulus or thickness, and nu, that no tolerance reaches beyond
 TURNED = ("cylinder", "bar", "edge", "polygon")  # kinds that look different when turned
 
 
@@ -138,19 +141,29 @@ class ContactRange(Ranges):
 
 @dataclass(frozen=True)
 class GelRange(Ranges):
-    """The gel of a sensor as it may be.
+    """The gel of a sensor as it may be; what is not stated lies within the tolerances of the sensor.
 
     Parameters
     ----------
-    E, thickness : range
+    E, thickness : range, optional
         Over those that the sensor was built with.
     nu : range, optional
-        Poisson's ratio; that of the sensor where not stated.
+        Poisson's ratio.
     """
 
-    E: Range = field(default=(1.0, 1.0), metadata=within("", 0.01, 100.0))
+    E: Range | None = field(default=None, metadata=within("", 0.01, 100.0))
     nu: Range | None = field(default=None, metadata=within("", 0.0, 0.4999))
-    thickness: Range = field(default=(1.0, 1.0), metadata=within("", 0.1, 10.0))
+    thickness: Range | None = field(default=None, metadata=within("", 0.1, 10.0))
+
+    def known_to(self, tolerances: Tolerances, nu: float) -> GelRange:
+        """With the range of what is not stated: that of an even distribution about the gel whose stds are these."""
+        E, thickness = (
+            given or (max(1 - EVEN * std, LEAST), 1 + EVEN * std)
+            for given, std in ((self.E, tolerances.E), (self.thickness, tolerances.thickness))
+        )
+        off = EVEN * tolerances.nu
+        around = (max(nu - off, 0.0), max(nu, min(nu + off, SOFTEST))) if off else None
+        return GelRange(E, self.nu or around, thickness)
 
 
 @dataclass(frozen=True)

@@ -50,10 +50,12 @@ class PressMaker:
         if not isinstance(sensor, LinearSensor):
             raise InputError("presses are drawn for a linear sensor", where="presses, sensor",
                              found=type(sensor).__name__, expected="MultilayerPad or GelForce")  # fmt: skip
-        self.declared, self.truth = declared, tuple(truth)
+        self.truth = tuple(truth)
         self.markers, self.eye, self.depth = sensor.markers, sensor.eye, sensor.depth
         body, self.name = sensor.pressed_body.body, sensor.name
         self.layer, self.size = _of(body, np.asarray(sensor.geometry["coordinates"]))
+        gel = declared.gel.known_to(sensor.pressed_body.tolerances, self.layer.nu)
+        self.declared = replace(declared, gel=gel)
         for pad in self.truth:
             _of(pad, None)
             if not np.allclose(pad.size, self.size, rtol=1e-6):
@@ -62,7 +64,7 @@ class PressMaker:
         self.inverse, self.markers_at = sensor.model.described, sensor.markers.points[:, :2]
         self.sensors = (*self.markers.channels, *([] if self.depth is None else self.depth.channels))
         self.loads = tuple(sensor.loads)
-        self._ranges(declared)
+        self._ranges(self.declared)
         ground = self._new_ground(self.layer)
         self._spread = spread_over(body, ground) if isinstance(body, Pad) else _on_grid(sensor.geometry, ground)
         hats = sensor.geometry["kind"] == "hats"
@@ -223,7 +225,7 @@ class PressMaker:
         own, gel = self.truth[number % len(self.truth)].layer if self.truth else self.layer, self.declared.gel
         if not self._drawn_gels:
             return own
-        nu, thick = gel.nu or (own.nu,) * 2, gel.thickness
+        nu, thick = gel.nu or (own.nu,) * 2, gel.thickness or (1.0, 1.0)
         share = halton(number + 1, 2), halton(number + 1, 3)
         return Layer(self.layer.h * (thick[0] + share[1] * (thick[1] - thick[0])), own.E,
                      nu[0] + share[0] * (nu[1] - nu[0]))  # fmt: skip

@@ -81,14 +81,15 @@ def _sensor(t: TomlTable, declared: PressDeclaration) -> tuple[MultilayerPad, li
     if finer is not None or layers is not None:
         count = layers or 2 * pad.layers
         truth = [Pad(E=pad.E, nu=pad.nu, size=pad.size, thickness=pad.thickness, pitch=finer, layers=count)]
+    known: dict[str, Any] = {"penalty": "identity", "tolerances": settings.tolerances}
     if settings.view is None:
         if rendered:
             raise t.refused("images", "no camera takes them", "a pad file without [camera]", "images = false")
-        return MultilayerPad(pad, Markers(dots, _metres(t, settings)), penalty="identity"), truth
+        return MultilayerPad(pad, Markers(dots, _metres(t, settings)), **known), truth
     eye = _eye(settings, declared, dots)
     if rendered:
-        return MultilayerPad(pad, eye=eye, penalty="identity"), truth
-    return MultilayerPad(pad, Markers(eye.markers, eye.noise, slope=eye.slope), penalty="identity"), truth
+        return MultilayerPad(pad, eye=eye, **known), truth
+    return MultilayerPad(pad, Markers(eye.markers, eye.noise, slope=eye.slope), **known), truth
 
 
 def _metres(t: TomlTable, settings: padfile.SensorFile) -> float:

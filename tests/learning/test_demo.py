@@ -16,7 +16,7 @@ def test_the_demonstration_tells_and_draws_and_does_without_torch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 1)  # workers cost more than these draws
-    monkeypatch.setattr(_skin, "TESTED", 2)
+    monkeypatch.setattr(_skin, "TESTED", 8)
     monkeypatch.setattr(_skin, "DEEP", 1)
     monkeypatch.setattr(_skin, "ASKED", 1)
     monkeypatch.setattr(_skin, "PLAN", Schedule(epochs=1))

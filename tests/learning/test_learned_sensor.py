@@ -63,7 +63,9 @@ def test_the_band_of_nodes_and_wrench_covers_what_it_says(learned: LearnedSensor
     maps = [learned.estimate(u) for u in motion]
     kept = [k for k, m in enumerate(maps) if m.facts.answered_by == "learned map"]
     inside = [np.abs(maps[k].load - loads[k]) <= 1.96 * maps[k].std for k in kept]
-    assert 0.92 <= np.mean(inside) <= 0.98
+    acts = [np.abs(loads[k]) > 0.05 * np.abs(loads[k]).max() for k in kept]
+    assert 0.92 <= np.mean(np.array(inside)[np.array(acts)]) <= 0.98  # the rest of the nodes carries nothing
+    assert 0.94 <= np.mean(inside) <= 0.99
     assert maps[kept[0]].torque().std.shape == (3,)
 
 
@@ -339,6 +341,7 @@ def test_gels_that_the_presses_were_drawn_on_are_not_counted_again(learned: Lear
     held = LearnedSensor(sensor(), replace(learned.fitted, facts=facts))
     u = presses(COUNT, 1)[0][0]
     want = learned.estimate(u)
+    assert "gel taken as exactly known" in want.facts.band
     for tolerance, rest in ((0.05, 0.0), (0.1, 0.0), (0.2, 0.03**0.5)):
         told = LearnedSensor(sensor(E=tolerance), held.fitted)
         assert told.estimate(u).std == pytest.approx(np.hypot(want.std, rest * want.load))
@@ -371,6 +374,7 @@ def test_presses_of_known_force_tell_the_modulus(learned: LearnedSensor) -> None
     told = one.adapted(list(motion[:5]), wrenches=wrenches)
     assert told.fitted.adaptation.gain[2] == pytest.approx(1.2, abs=0.1)
     assert "std of the gel" not in told.estimate(motion[5]).facts.band
+    assert "modulus by known forces" in told.estimate(motion[5]).facts.band
     held = [np.abs(m.resultant().value - R @ load) <= 1.96 * m.resultant().std
             for m, load in zip(map(told.estimate, motion[5:]), loads[5:], strict=True)]  # fmt: skip
     assert np.mean(held) > 0.9

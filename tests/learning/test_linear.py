@@ -112,8 +112,29 @@ def test_an_output_that_no_example_loads_spoils_no_factor():
     rng = np.random.default_rng(5)
     for draws in (30, 400):
         errors, std = rng.standard_normal((draws, 3)), np.tile([1.0, 1.0, 0.0], (draws, 1))
-        factors = calibrated(errors, std, np.zeros(3, int), 0.95, None, np.zeros(3)).inside
-        assert np.all(np.isfinite(factors))
-        assert np.array_equal((std * factors)[:, 2], np.zeros(draws))
+        found = calibrated(errors, np.ones_like(std), std, np.zeros(3, int), 0.95, None, np.zeros(3))
+        assert np.all(np.isfinite(found.inside))
+        wide = found.multiplied(np.ones_like(std), std)
+        assert np.array_equal(wide[:, 2], np.zeros(draws))
         if draws == 400:
-            assert np.all(np.abs(factors[:2] - 1) < 0.2)
+            assert np.all(np.abs(wide[:, :2] - 1) < 0.2)
+
+
+def test_static_loads_that_act_are_covered_as_often_as_those_that_do_not():
+    """Nine of ten carry nothing, with small errors: one factor for all holds a fifth less of those that act."""
+    rng, groups = np.random.default_rng(3), np.zeros(100, int)
+
+    def drawn(count):
+        acts = rng.random((count, 100)) < 0.1
+        truth = np.where(acts, rng.uniform(0.3, 1.0, (count, 100)), 0.0)
+        off = np.where(acts, 0.1, 0.02) * rng.standard_normal((count, 100))
+        return off, truth + off, acts
+
+    off, mean, acts = drawn(200)
+    std = np.full(off.shape, 0.05)
+    found = calibrated(off, mean, std, groups, 0.95, None, np.zeros(100))
+    off, mean, acts = drawn(400)
+    inside = np.abs(off) <= 1.96 * found.applied(mean, np.full(off.shape, 0.05))
+    for part in (acts, ~acts):
+        assert 0.93 <= inside[part].mean() <= 0.975
+    assert np.mean(np.abs(off)[acts] <= np.quantile(np.abs(off), 0.95)) < 0.8

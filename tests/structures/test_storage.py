@@ -251,6 +251,38 @@ def test_a_forged_file_that_hangs_the_library_leaves_the_caller(tmp_path, monkey
     assert same(TREE, storage.read(tmp_path / "x.h5", "estimate"))
 
 
+def sleeps(request):
+    time.sleep(60)
+
+
+def computes_now_and_then(request):
+    until = time.monotonic() + 2.5
+    while time.monotonic() < until:  # as on a machine that gives it a tenth of its time
+        used = time.process_time() + 0.02
+        while time.process_time() < used:
+            pass
+        time.sleep(0.2)
+    return "read", []
+
+
+def asked(task):
+    return child.apart(f"{__name__}:{task.__name__}", {}, reader="HDF5", where="x.h5", size=0)
+
+
+def test_a_child_that_waits_for_nothing_is_ended(monkeypatch):
+    monkeypatch.setattr(child, "PATIENCE", 0.5)
+    monkeypatch.setattr(child, "LOADED", 1.0)
+    with pytest.raises(InputError, match=r"the HDF5 library hangs"):
+        asked(sleeps)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the system does not tell what a process has used")
+def test_a_child_that_other_work_slows_down_is_waited_for(monkeypatch):
+    monkeypatch.setattr(child, "PATIENCE", 1.0)
+    monkeypatch.setattr(child, "LOADED", 1.0)
+    assert asked(computes_now_and_then) == ("read", [])
+
+
 def test_where_no_child_starts_the_caller_reads_itself(path, monkeypatch):
     child.stop()
     monkeypatch.setattr(sys, "executable", "")

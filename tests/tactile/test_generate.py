@@ -13,7 +13,7 @@ import pytest
 from loadid import InputError
 from loadid.generate import TrainingSet
 from loadid.generate._work import drawn_as
-from tactile import Layer, Press, RigidBody, metrics, shapes
+from tactile import Layer, Markers, MultilayerPad, Press, RigidBody, Tolerances, metrics, shapes
 from tactile.generate import ContactRange, GelRange, IndenterRange, PressDeclaration, PressMaker, presses
 from tactile.generate._readings import seen
 from tactile.generate._truth import Ground, Move, spread_over
@@ -102,6 +102,21 @@ def test_pads_move_with_the_poissons_ratio_and_thickness_that_are_declared() -> 
     alone = drawn_as(PressMaker(g.marked(), press, [own]), 3, 0)
     assert found[0].data == pytest.approx(alone.data, abs=1e-9)
     assert found[0].loads == pytest.approx(alone.loads, abs=1e-6 * np.abs(alone.loads).max())
+
+
+def test_gels_lie_within_the_tolerances_of_the_sensor_where_nothing_is_declared() -> None:
+    """Evenly with that std; what is declared is as declared, and a gel that is exactly known stays so."""
+    press = g.only(IndenterRange("sphere", radius=4e-3), x=0.0, y=0.0, depth=0.1e-3)
+    known = MultilayerPad(g.pad(), Markers(g.dots(), g.NOISE), penalty="identity",
+                          tolerances=Tolerances(E=0.1, nu=0.02, thickness=0.05))  # fmt: skip
+    gel = PressMaker(known, press).declared.gel
+    assert pytest.approx((1 - 0.1 * 3**0.5, 1 + 0.1 * 3**0.5)) == gel.E
+    assert gel.nu == pytest.approx((g.NU - 0.02 * 3**0.5, g.NU + 0.02 * 3**0.5))
+    assert gel.thickness == pytest.approx((1 - 0.05 * 3**0.5, 1 + 0.05 * 3**0.5))
+    assert PressMaker(known, replace(press, gel=GelRange(E=1.0, nu=(0.3, 0.4)))).declared.gel.nu == (0.3, 0.4)
+    assert PressMaker(g.marked(), press).declared.gel == GelRange(E=1.0, thickness=1.0)
+    soft = GelRange().known_to(Tolerances(E=0.9, nu=0.2), 0.45)
+    assert soft == GelRange(E=(0.1, 1 + 0.9 * 3**0.5), nu=(0.45 - 0.2 * 3**0.5, 0.495), thickness=1.0)
 
 
 # -- draws ------------------------------------------------------------------------------------------------------------
