@@ -141,12 +141,11 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
     dofs = [p for p in parts if "=" not in p]
     given = _pairs(",".join(p for p in parts if "=" in p), option)
     for name in given:
-        _one_of(
-            name,
-            ("x", "y", "z", "direction", "label", *NUMBERS),
-            option,
-            f"x, y, direction, label, {', '.join(NUMBERS)}",
-        )
+        _one_of(name, WORDS, f"setting of a {option}", f"a place in x, y or z, direction, label, {', '.join(NUMBERS)}")
+    if bare := next((p for p in dofs if p[0].isdigit() and _is_length(p)), None):
+        raise InputError("a number without its name", where=f"{WHERE}, {option}", found=repr(text),
+                         expected=f"{kind}:x={'0.5' if given else bare} (a place in m), or {kind}:12+Z",
+                         hint="a decimal point, where the comma was one" if given else "")  # fmt: skip
     place = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
     if len(dofs) + bool(place) != 1:
         raise InputError("a sensor or a load has one place", where=f"{WHERE}, {option}", found=repr(text),
@@ -161,6 +160,14 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
         raise InputError(f"no such {option}", where=f"{WHERE}, {option}", found=repr(text),
                          expected=f"what a {kind} takes",
                          hint=str(error).partition("() ")[2] or str(error)) from None  # fmt: skip
+
+
+def _is_length(text: str) -> bool:
+    try:
+        size(text, "")
+    except InputError:
+        return False
+    return True
 
 
 def _pairs(text: str, name: str) -> dict[str, Any]:
