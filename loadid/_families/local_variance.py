@@ -188,6 +188,22 @@ def spread(load: Array) -> float:
     return float(np.min(energy.sum(axis=1) ** 2 / (len(load) * square)))
 
 
+def _beyond_fair(prior: LocalPrior | LocalLinesPrior, posed: Posed, residual: Array) -> float | None:
+    """Residual over the noise that no model as good as may be expected leaves.
+
+    By measured FRFs no misfit is learned, and the noise of each sensor is: it would take a channel in another unit for
+    a very noisy one. What twice the std of the gains makes, and `FAIR` of the response, is excused, and so is the mean
+    of the residual: a constant is an offset of the instrument, and moves no hit.
+    """
+    if prior.misfit > FAIR or prior.contradicted:
+        return beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    if not isinstance(prior, LocalLinesPrior):
+        return None
+    gains = 0.0 if posed.gains is None else 4 * np.diag(posed.gains.covariance)
+    varying = np.nanvar(residual, axis=0) / np.maximum(np.nanmean(residual**2, axis=0), np.finfo(float).tiny)
+    return beyond_noise(prior.unexplained(FAIR**2 + gains, varying), prior.data, posed.noise)
+
+
 def unasked(choice: Choice, learned: Learned | Smooth) -> Choice:
     """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it.
 
@@ -356,7 +372,6 @@ def replaced(
         "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
-    fair = prior.misfit <= FAIR and not prior.contradicted
-    excess = None if fair else beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    excess = _beyond_fair(prior, posed, residual)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
                    facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip
