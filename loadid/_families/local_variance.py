@@ -38,6 +38,7 @@ IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 THROUGHOUT = "the load acts throughout"
 WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
+GROSS = 0.3  # share of its response that the residual of a sensor has where a noisy one cannot be told from a wrong one
 FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
 EITHER = 0.5  # odds of another prior than that of the penalty
 LONGEST_LINES = 2**18  # samples line by line
@@ -192,16 +193,15 @@ def _beyond_fair(prior: LocalPrior | LocalLinesPrior, posed: Posed, residual: Ar
     """Residual over the noise that no model as good as may be expected leaves.
 
     By measured FRFs no misfit is learned, and the noise of each sensor is: it would take a channel in another unit for
-    a very noisy one. What twice the std of the gains makes, and `FAIR` of the response, is excused, and so is the mean
-    of the residual: a constant is an offset of the instrument, and moves no hit.
+    a very noisy one. A residual of `GROSS` of the response is excused, and so is the mean of the residual: a constant
+    is an offset of the instrument, and moves no hit.
     """
     if prior.misfit > FAIR or prior.contradicted:
         return beyond_noise(prior.unexplained(), prior.data, posed.noise)
     if not isinstance(prior, LocalLinesPrior):
         return None
-    gains = 0.0 if posed.gains is None else 4 * np.diag(posed.gains.covariance)
     varying = np.nanvar(residual, axis=0) / np.maximum(np.nanmean(residual**2, axis=0), np.finfo(float).tiny)
-    return beyond_noise(prior.unexplained(FAIR**2 + gains, varying), prior.data, posed.noise)
+    return beyond_noise(prior.unexplained(GROSS**2, varying), prior.data, posed.noise)
 
 
 def unasked(choice: Choice, learned: Learned | Smooth) -> Choice:
