@@ -61,7 +61,8 @@ class PlanReader:
         """A table of the plan, empty where it is left out."""
         found = tree.get(name, {})
         if not isinstance(found, dict):
-            self.refused(name, found, f"a table [{name}]")
+            keys = ", ".join(f"{key} = ..." for key in self.names.get(name, ())[:SHOWN])
+            self.refused(name, found, f"a table [{name}]" + (f", or {name} = {{{keys}}}" if keys else ""))
         return found
 
     def text(self, tree: Mapping[str, Any], name: str, place: str) -> str:

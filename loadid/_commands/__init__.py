@@ -410,7 +410,7 @@ def require_outputs(
     Raises
     ------
     InputError
-        An empty path, a folder that is not there or cannot be written, a link or a device, a suffix that is not that of
+        An empty path, a folder that is not there or cannot be written, a link or a device, no suffix, or not that of
         what is written, an unknown kind of picture, a file named twice.
     """
     named = {option: path for option, path in outputs.items() if path is not None and _named(option, path)}
@@ -440,7 +440,7 @@ def require_outputs(
 
             require_page(path, f"{option} {path}")
         if option in known:
-            storage.require_suffix(path, known[option], where=f"{option} {path}")
+            storage.require_suffix(path, known[option], where=f"{option} {path}", bare=False)
 
 
 def same_file(a: Path, b: Path) -> bool:

@@ -26,6 +26,8 @@ SENSORS = {"accelerometer": "Accelerometer", "velocity": "Velocity", "displaceme
 LOADS = {"point": "Point", "moment": "Moment"}
 NUMBERS = ("fibre", "length", "angle", "noise", "highpass")
 WORDS = ("x", "y", "z", "direction", "label", *NUMBERS)
+SLOWEST, SLOW, FASTEST = 0.1, 100.0, 3e4  # m/s, of sound in any solid; SLOW of those denser than DENSE (kg/m^3)
+DENSE, WIDE = 4000.0, 2.0
 WHERE = "loadid model"
 EXAMPLES = """\
 examples:
@@ -102,6 +104,10 @@ def section(value: Any) -> Any:
     _one_of(kind, made, "section", "rectangle:WIDTH,HEIGHT, circle:DIAMETER or tube:DIAMETER,WALL")
     build, count = made[kind]
     found = sizes(rest, "section")
+    if max(found, default=0.0) > WIDE and any(_is_number(part.strip()) for part in rest.split(",")):
+        raise InputError(f"a section wider than {WIDE:g} m without its unit", where=f"{WHERE}, section",
+                         found=repr(value), expected="sizes in m, or with their unit",
+                         hint=f"{kind}:{','.join(f'{x:g}mm' for x in found)}, or the same with m")  # fmt: skip
     if len(found) != count:
         raise InputError(f"a {kind} has {count} size{'s' * (count > 1)}", where=f"{WHERE}, section", found=repr(value),
                          expected="rectangle:WIDTH,HEIGHT, circle:DIAMETER or tube:DIAMETER,WALL")  # fmt: skip
@@ -123,7 +129,14 @@ def material(value: Any) -> Any:
         raise InputError("the material is not complete", where=f"{WHERE}, material", found=repr(value),
                          expected=f"{', '.join(missing)} too")  # fmt: skip
     kinds = {"E": "Pa", "rho": "kg/m^3", "nu": "1"}
-    return beams.Material(**{k: size(v, f"material, {k}", kinds[k]) for k, v in given.items()})
+    made = beams.Material(**{k: size(v, f"material, {k}", kinds[k]) for k, v in given.items()})
+    speed = float((made.E / made.rho) ** 0.5)
+    if not (SLOWEST if made.rho < DENSE else SLOW) < speed < FASTEST:
+        raise InputError("there is no such solid", where=f"{WHERE}, material",
+                         found=f"E = {made.E:g} Pa, rho = {made.rho:g} kg/m^3: sound of {speed:.3g} m/s",
+                         expected="E in Pa and rho in kg/m^3 (steel: 210e9 and 7850)",
+                         hint="state other units behind the numbers: E=210GPa,rho=7.85g/cm^3")  # fmt: skip
+    return made
 
 
 def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any:
@@ -141,12 +154,11 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
     dofs = [p for p in parts if "=" not in p]
     given = _pairs(",".join(p for p in parts if "=" in p), option)
     for name in given:
-        _one_of(
-            name,
-            ("x", "y", "z", "direction", "label", *NUMBERS),
-            option,
-            f"x, y, direction, label, {', '.join(NUMBERS)}",
-        )
+        _one_of(name, WORDS, f"setting of a {option}", f"a place in x, y or z, direction, label, {', '.join(NUMBERS)}")
+    if bare := next((p for p in dofs if p[0].isdigit() and _is_length(p)), None):
+        raise InputError("a number without its name", where=f"{WHERE}, {option}", found=repr(text),
+                         expected=f"{kind}:x={'0.5' if given else bare} (a place in m), or {kind}:12+Z",
+                         hint="a decimal point, where the comma was one" if given else "")  # fmt: skip
     place = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
     if len(dofs) + bool(place) != 1:
         raise InputError("a sensor or a load has one place", where=f"{WHERE}, {option}", found=repr(text),
@@ -161,6 +173,14 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
         raise InputError(f"no such {option}", where=f"{WHERE}, {option}", found=repr(text),
                          expected=f"what a {kind} takes",
                          hint=str(error).partition("() ")[2] or str(error)) from None  # fmt: skip
+
+
+def _is_length(text: str) -> bool:
+    try:
+        size(text, "")
+    except InputError:
+        return False
+    return True
 
 
 def _pairs(text: str, name: str) -> dict[str, Any]:

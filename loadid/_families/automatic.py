@@ -147,7 +147,7 @@ class AutomaticInversion:
     def _by_lines(self, found: Any, dt: float | None) -> Chosen:
         self._refuse(self.histories, "frequency lines")
         told = {**self.lines, **self.common, "allow": self._allowed("coverage")}
-        own = FrequencyInversion(self.model, **told, progress=self._part(0.0, 1.0)).estimate(found, dt)
+        own = FrequencyInversion(self.model, **told, progress=self._part(0.0, 1.0, "lines")).estimate(found, dt)
         return Chosen(own, "FrequencyInversion", "spectra, or a model that is a table of FRFs: each line with the "
                       "variances of its neighbours")  # fmt: skip
 
@@ -175,7 +175,7 @@ class AutomaticInversion:
     def _history(self, found: Any, dt: float | None) -> Chosen:
         self._refuse(self.lines, "records of histories")
         told = {**self.histories, **self.common}
-        plain = Deconvolution(self.model, **told, progress=self._part(0.0, 0.5)).estimate(found, dt)
+        plain = Deconvolution(self.model, **told, progress=self._part(0.0, 0.5, "plain prior")).estimate(found, dt)
         variance = plain.facts.get("variance")
         if variance == "local":
             return Chosen(
@@ -193,7 +193,7 @@ class AutomaticInversion:
                           f"{lacking}")  # fmt: skip
         try:
             smooth = Deconvolution(
-                self.model, penalty=Penalty(variance="smooth"), **told, progress=self._part(0.5, 1.0)
+                self.model, penalty=Penalty(variance="smooth"), **told, progress=self._part(0.5, 1.0, "smooth load")
             ).estimate(found, dt)
         except (InputError, NotIdentifiable):  # no states, or too many: the plain prior stands
             return Chosen(plain, "Deconvolution", f"the plain prior; {tried}; a load that is smooth was refused")
@@ -245,8 +245,9 @@ class AutomaticInversion:
         own = Guards.of(self.common["allow"])
         return Guards(own.allow, **{name: getattr(own, name) for name in fields})
 
-    def _part(self, low: float, high: float) -> Callable[[float, str], None]:
-        return lambda fraction, text: self._progress(low + (high - low) * fraction, text)
+    def _part(self, low: float, high: float, what: str) -> Callable[[float, str], None]:
+        """Progress of one of the families that are tried, said with its name: when it is done, the choice is not."""
+        return lambda fraction, text: self._progress(low + (high - low) * fraction, f"{what}: {text}")
 
     def _refuse(self, given: dict[str, Any], kind: str) -> None:
         """Refuse settings of another kind of data."""

@@ -38,6 +38,7 @@ IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 THROUGHOUT = "the load acts throughout"
 WIDER = 0.01  # of lambda
 LONGEST = 8192  # samples over states
+GROSS = 0.3  # share of its response that the residual of a sensor has where a noisy one cannot be told from a wrong one
 FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
 EITHER = 0.5  # odds of another prior than that of the penalty
 LONGEST_LINES = 2**18  # samples line by line
@@ -188,6 +189,21 @@ def spread(load: Array) -> float:
     return float(np.min(energy.sum(axis=1) ** 2 / (len(load) * square)))
 
 
+def _beyond_fair(prior: LocalPrior | LocalLinesPrior, posed: Posed, residual: Array) -> float | None:
+    """Residual over the noise that no model as good as may be expected leaves.
+
+    By measured FRFs no misfit is learned, and the noise of each sensor is: it would take a channel in another unit for
+    a very noisy one. A residual of `GROSS` of the response is excused, and so is the mean of the residual: a constant
+    is an offset of the instrument, and moves no hit.
+    """
+    if prior.misfit > FAIR or prior.contradicted:
+        return beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    if not isinstance(prior, LocalLinesPrior):
+        return None
+    varying = np.nanvar(residual, axis=0) / np.maximum(np.nanmean(residual**2, axis=0), np.finfo(float).tiny)
+    return beyond_noise(prior.unexplained(GROSS**2, varying), prior.data, posed.noise)
+
+
 def unasked(choice: Choice, learned: Learned | Smooth) -> Choice:
     """The choice of lambda where the load is not that of any lambda: its rules are no judgement of it.
 
@@ -264,10 +280,11 @@ def _constant(found: SolvedLoad, because: str) -> SolvedLoad:
 
 def _between(found: SolvedLoad, others: Sequence[StationaryPrior | LocalLinesPrior]) -> SolvedLoad:
     """The answer of the penalty, whose band knows that the prior may be another one: each as likely as not."""
-    if found.posterior is None:
+    each = [one.posterior()[0] for one in others]  # not finite where data contradict the model beyond all measure
+    away = [load - found.load for load in each if np.all(np.isfinite(load))]
+    if found.posterior is None or not away:
         return found
-    away = np.array([one.posterior()[0] - found.load for one in others])
-    band = WidenedPosterior(found.posterior, np.sqrt(EITHER) * away)
+    band = WidenedPosterior(found.posterior, np.sqrt(EITHER) * np.array(away))
     return replace(found, std=band.std, posterior=band)
 
 
@@ -356,7 +373,6 @@ def replaced(
         "model_errors": wrong(learned),
     }
     flags = tuple(flag for flag in found.flags if not flag.code.endswith(SMEARED))
-    fair = prior.misfit <= FAIR and not prior.contradicted
-    excess = None if fair else beyond_noise(prior.unexplained(), prior.data, posed.noise)
+    excess = _beyond_fair(prior, posed, residual)
     return replace(found, load=load, std=band.std, posterior=band, bias=None, response=response, residual=residual,
                    facts=Facts.of(facts), flags=flags, excess=excess)  # fmt: skip

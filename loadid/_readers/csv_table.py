@@ -55,6 +55,7 @@ def load(source: Source, options: Options) -> list[Table]:
         lines.pop()
         ended = True
     _refuse_rows_of_channels(lines, source)
+    lines = _without_empty_columns(lines)
     lines, notes = _with_points(lines)
     layout = _layout(lines, source, ended)
     body = [(i + 1, line) for i, line in enumerate(lines) if i >= layout.first and line.strip()]
@@ -175,6 +176,16 @@ def _trailing(body: list[tuple[int, str]], layout: _Layout) -> bool:
     return layout.separator is not None and all(
         len(split(line, layout.separator)) == layout.width + 1 for _, line in body
     )
+
+
+def _without_empty_columns(lines: list[str]) -> list[str]:
+    """Lines without the delimiters that end all of them: columns of a sheet in which nothing stands."""
+    filled = [line for line in lines if line.strip()]
+    for mark in ",;":
+        least = min((len(line) - len(line.rstrip(mark)) for line in filled[:-1]), default=0)
+        if least > 1:  # the very last line may be cut
+            return [line.removesuffix(mark * least) for line in lines]
+    return lines
 
 
 WIDEST = 256  # columns of a table whose commas have two meanings

@@ -6,7 +6,7 @@ Step and unit are the properties ``wf_increment`` and ``unit_string`` of a chann
 
 from __future__ import annotations
 
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from .source import COLUMNS, Options, Source, Table, register, since, truncated
 
 LEAD_IN = 28
 UNKNOWN = 2**64 - 1  # of a segment that was not closed
+RAW, BIG = 0x08, 0x40  # marks of a segment: it holds samples; its numbers are big-endian
+VERSIONS = (4712, 4713)
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 
 
@@ -43,7 +45,10 @@ def load(source: Source, options: Options) -> list[Table]:
 
 
 def _declared(stream: BinaryIO, source: Source) -> int:
-    """Bytes that the segments declare; one that was never closed declares a byte more than there is."""
+    """Bytes that the segments declare; one that was never closed declares a byte more than there is.
+
+    A damaged mark or version would lose the samples of its segment in silence.
+    """
     at = 0
     while at < source.size:
         stream.seek(at)
@@ -52,9 +57,14 @@ def _declared(stream: BinaryIO, source: Source) -> int:
             return at + LEAD_IN
         if lead[:4] not in (b"TDSm", b"DSm"):
             source.refuse("no segment begins here", f"byte {at}: {lead[:4]!r}", "TDSm")
-        beyond = int.from_bytes(lead[12:20], "little")
+        order: Literal["big", "little"] = "big" if lead[4] & BIG else "little"
+        version, beyond, data = (int.from_bytes(lead[a:b], order) for a, b in ((8, 12), (12, 20), (20, 28)))
+        if version not in VERSIONS:
+            source.refuse("no segment of a known version", f"byte {at}: {version}", " or ".join(map(str, VERSIONS)))
         if beyond == UNKNOWN:
             return source.size + 1
+        if beyond > data and not lead[4] & RAW:
+            source.refuse("a segment holds samples and says that it holds none", f"byte {at}", "the mark of raw data")
         at += LEAD_IN + beyond
     return at
 

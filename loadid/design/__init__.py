@@ -5,7 +5,6 @@ The classes of the answers can be imported for types; nobody makes them by hand.
 
 from ._comparison import LayoutComparison as LayoutComparison
 from ._comparison import compare
-from ._hitplacement import HitPlacement as HitPlacement
 from ._hitplacement import place_for_hits
 from ._layout import Judged as Judged
 from ._placement import Placement as Placement

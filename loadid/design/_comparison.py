@@ -19,7 +19,7 @@ from structures.errors import InputError
 from .._guards.measurement import lost_channels
 from .._plots.style import finished
 from ._candidates import CandidateSensors, expected, settle
-from ._layout import DrawnLayout, Judged, judge, table
+from ._layout import Judged, Layout, judge, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ class LayoutComparison:
     def table(self) -> str:
         """Condition number with rank and nullity, modes above the noise, worst std and its load, log det."""
         notes = [f"warning: {f.message}" for f in self.flags]
-        return "\n".join([table([one.row() for one in self.layouts]), f"for {self.expected}", *notes])
+        return "\n".join([table(self.layouts), f"for {self.expected}", *notes])
 
     def __str__(self) -> str:
         return self.table()
@@ -231,7 +231,7 @@ NAMED = 12  # sensors of a bar picture whose names fit
 
 
 def draw(
-    layouts: Sequence[DrawnLayout],
+    layouts: Sequence[Layout],
     loads_at: Array | None = None,
     *,
     outline: Array | None = None,
@@ -246,7 +246,7 @@ def draw(
 
     Parameters
     ----------
-    layouts : sequence of DrawnLayout
+    layouts : sequence of Layout
     loads_at, outline, candidates : array (number, dim), optional
         Places (m) of the loads, the nodes of the structure, and all candidate sensors.
     path : path, optional
@@ -297,7 +297,7 @@ def _cut(x: Array | None, axes: list[int]) -> Array | None:
     return None if x is None else x[:, axes]
 
 
-def _bars(ax: Axes, one: DrawnLayout) -> None:
+def _bars(ax: Axes, one: Layout) -> None:
     """Share of every load in its order; no places are known."""
     where = np.arange(len(one.share))
     ax.bar(where, one.share, color=[ORANGE if j == one.worst else BLUE for j in where], width=0.8)
@@ -309,7 +309,7 @@ def _bars(ax: Axes, one: DrawnLayout) -> None:
                 fontsize=8, color=INK, wrap=True)  # fmt: skip
 
 
-def _share_axis(ax: Axes, one: DrawnLayout) -> None:
+def _share_axis(ax: Axes, one: Layout) -> None:
     top = max(float(one.share.max()), 1e-6)
     ax.set_ylim(-0.16 * top, 1.25 * top)
     ax.axhline(0, color=GREY, lw=0.8)
@@ -318,7 +318,7 @@ def _share_axis(ax: Axes, one: DrawnLayout) -> None:
         ax.spines[side].set_visible(False)
 
 
-def _line(ax: Axes, one: DrawnLayout, x: Array, rest: Sequence[Array | None], direction: int) -> None:
+def _line(ax: Axes, one: Layout, x: Array, rest: Sequence[Array | None], direction: int) -> None:
     """Share of every load above its place; sensors below the line."""
     outline, candidates, sensors = (None if t is None else t[:, 0] for t in rest)
     ax.vlines(x, 0, one.share, color=BLUE, lw=1.2)
@@ -336,7 +336,7 @@ def _line(ax: Axes, one: DrawnLayout, x: Array, rest: Sequence[Array | None], di
     ax.legend(fontsize=8, frameon=False, ncols=4, loc="upper center")
 
 
-def _map(ax: Axes, one: DrawnLayout, x: Array, rest: Sequence[Array | None], axes: list[int], figure: Any) -> None:
+def _map(ax: Axes, one: Layout, x: Array, rest: Sequence[Array | None], axes: list[int], figure: Any) -> None:
     """Loads on the surface, coloured by their share; sensors as triangles."""
     outline, candidates, sensors = rest
     if outline is not None:

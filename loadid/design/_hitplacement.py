@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,13 +16,9 @@ from structures._readonly import ReadOnly
 from structures.errors import InputError, NotIdentifiable
 
 from ._candidates import of_model
-from ._comparison import draw
-from ._forecast import Forecast, of
+from ._forecast import of
 from ._hits import COARSE, HitProblem, Pulse, posed
-from ._layout import table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from ._placement import Placement
 
 Array = NDArray[np.float64]
 Sets = frozenset[int]
@@ -31,7 +27,6 @@ CRITERIA = ("worst", "mean")
 EVERY = 400  # sets that are all looked at
 RANDOM = 12  # layouts beside the chosen one, and another start of the search
 SWEEPS = 6
-HEADS = ("layout", "sensors", "condition", "rank", "nullity", "worst error", "at load", "mean error")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +76,16 @@ class HitLayout(ReadOnly):
         return float(np.sqrt(np.mean(self.share**2)))
 
     axis = "expected error of a hit over its rms"
+    heads: ClassVar[tuple[str, ...]] = (
+        "layout",
+        "sensors",
+        "condition",
+        "rank",
+        "nullity",
+        "worst error",
+        "at load",
+        "mean error",
+    )
 
     @property
     def title(self) -> str:
@@ -94,6 +99,11 @@ class HitLayout(ReadOnly):
         return (self.name, str(len(self.sensors)), f"{self.kappa:.3g}", str(self.rank), str(self.nullity),
                 f"{self.share[self.worst]:.1%}", self.loads[self.worst], f"{self.mean_share:.1%}")  # fmt: skip
 
+    @staticmethod
+    def measured(first: float, second: float) -> str:
+        """Worst and mean error."""
+        return f"worst error {first:.1%}  mean {second:.1%}"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain texts, numbers and lists."""
         return {
@@ -101,74 +111,6 @@ class HitLayout(ReadOnly):
             "kappa": self.kappa if self.rank else None, "share": self.share.tolist(), "worst": self.loads[self.worst],
             "worst_share": float(self.share[self.worst]), "mean_share": self.mean_share,
             "at": None if self.at is None else self.at.tolist(),
-        }  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class HitPlacement:
-    """Chosen sensors, and what they promise for hits. Immutable.
-
-    Parameters
-    ----------
-    chosen : tuple of int
-        Rows of the candidates, the most useful first.
-    criterion : str
-    layout, everything : HitLayout
-        The chosen sensors, and all candidates: nothing better can be had from them.
-    random : tuple of float
-        Worst (or mean) errors of random layouts of as many sensors, ascending.
-    gains : tuple of (str, float, float)
-        For each sensor in turn: label, worst and mean error with it and those before it.
-    forecast : Forecast
-        Of the chosen sensors.
-    method : str
-        How they were found.
-    candidates_at, loads_at, outline : array or None
-        Places (m), for the picture.
-    """
-
-    chosen: tuple[int, ...]
-    criterion: str
-    layout: HitLayout
-    everything: HitLayout
-    random: tuple[float, ...]
-    gains: tuple[tuple[str, float, float], ...]
-    forecast: Forecast
-    method: str
-    candidates_at: Array | None = None
-    loads_at: Array | None = None
-    outline: Array | None = None
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Labels of the chosen sensors, the most useful first."""
-        return self.layout.sensors
-
-    def table(self) -> str:
-        """The layout beside all candidates and beside chance, and what each sensor adds."""
-        lines = [table([self.layout.row(), self.everything.row()], HEADS)]
-        lines.append(f"noise {self.forecast.noise_source}; chosen by {self.method}")
-        if self.random:
-            lines.append(f"{len(self.random)} random layouts: {self.criterion} error {self.random[0]:.1%} to "
-                         f"{self.random[-1]:.1%}, median {float(np.median(self.random)):.1%}")  # fmt: skip
-        lines.append("what each sensor adds:")
-        wide = max(len(label) for label, _, _ in self.gains)
-        lines += [f"  {label.ljust(wide)}  worst error {w:.1%}  mean {m:.1%}" for label, w, m in self.gains]
-        return "\n".join(lines)
-
-    def __str__(self) -> str:
-        return f"{self.forecast}\n{self.table()}"
-
-    def plot(self, **settings: Any) -> Figure:
-        """Picture of the layout, the worst load marked; see `loadid.design._comparison.draw`."""
-        return draw((self.layout,), self.loads_at, outline=self.outline, candidates=self.candidates_at, **settings)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain texts, numbers and lists."""
-        return {
-            "chosen": list(self.chosen), "criterion": self.criterion, "layout": self.layout.to_dict(),
-            "everything": self.everything.to_dict(), "random": list(self.random),
-            "gains": [list(g) for g in self.gains], "forecast": self.forecast.to_dict(), "method": self.method,
         }  # fmt: skip
 
 
@@ -182,7 +124,7 @@ def place_for_hits(
     exhaustive: bool | None = None,
     noise: ArrayLike | None = None,
     progress: Callable[[float, str], None] | None = None,
-) -> HitPlacement:
+) -> Placement:
     """Choose n of the sensors of a dynamic model, so that a hit is found with the least error.
 
     The error of a layout is that of a half sine on each load, the others zero but unknown, at the best lambda: a closed
@@ -211,7 +153,7 @@ def place_for_hits(
 
     Returns
     -------
-    HitPlacement
+    Placement
 
     Raises
     ------
@@ -245,9 +187,10 @@ def place_for_hits(
     H = transfer(model)
     judge = _judge(model, fine, H, sensors_at)
     told(1.0, "placing sensors")
-    return HitPlacement(
+    return Placement(
         chosen=tuple(order), criterion=criterion, layout=judge(f"{n} of {m}", order),
         everything=judge("all candidates", list(range(m))), random=tuple(finer.random()), gains=gains, forecast=found,
+        expected=f"a hit of {1e3 * hit.duration:g} ms on each load, noise {found.noise_source}",
         method="all sets" if every else "greedy and random starts with exchange",
         candidates_at=sensors_at, loads_at=loads_at, outline=outline,
     )  # fmt: skip

@@ -14,11 +14,11 @@ backward start.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice
 from math import comb
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,11 @@ from structures._readonly import ReadOnly
 Array = NDArray[np.float64]
 
 
-class DrawnLayout(Protocol):
-    """What a picture needs of a layout that was judged."""
+class Layout(Protocol):
+    """A layout that was judged, for static loads or for hits: what tables and pictures need of it."""
 
     axis: str
+    heads: ClassVar[tuple[str, ...]]
 
     @property
     def title(self) -> str:
@@ -39,6 +40,10 @@ class DrawnLayout(Protocol):
 
     @property
     def sensors(self) -> tuple[str, ...]:
+        """Their labels."""
+
+    @property
+    def loads(self) -> tuple[str, ...]:
         """Their labels."""
 
     @property
@@ -52,6 +57,16 @@ class DrawnLayout(Protocol):
     @property
     def at(self) -> Array | None:
         """Places of the sensors (m)."""
+
+    def row(self) -> tuple[str, ...]:
+        """Its line of a table under `heads`."""
+
+    @staticmethod
+    def measured(first: float, second: float) -> str:
+        """The two measures of a layout, in words."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain texts, numbers and lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +116,10 @@ class Judged(ReadOnly):
                 object.__setattr__(self, name, frozen)
 
     axis = "posterior std over amplitude"
+    heads: ClassVar[tuple[str, ...]] = (
+        "layout", "sensors", "condition", "rank", "nullity", "modes above noise", "worst std", "of its amplitude",
+        "at load", "log det", "mean std",
+    )  # fmt: skip
 
     @property
     def title(self) -> str:
@@ -148,6 +167,11 @@ class Judged(ReadOnly):
             f"{self.mean_share:.1%}",
         )
 
+    @staticmethod
+    def measured(first: float, second: float) -> str:
+        """Log det, and the largest posterior std over its amplitude."""
+        return f"log det {first:8.4g}  worst std {second:.1%}"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain texts, numbers and lists."""
         return {
@@ -169,12 +193,6 @@ class Judged(ReadOnly):
             "mean_share": self.mean_share,
             "at": None if self.at is None else self.at.tolist(),
         }
-
-
-HEADS = (
-    "layout", "sensors", "condition", "rank", "nullity", "modes above noise", "worst std", "of its amplitude",
-    "at load", "log det", "mean std",
-)  # fmt: skip
 
 
 def judge(
@@ -213,9 +231,10 @@ def judge(
     )
 
 
-def table(rows: list[tuple[str, ...]], heads: tuple[str, ...] = HEADS) -> str:
-    """Lines of a table, columns aligned; names stand at the left."""
-    rows = [heads, *rows]
+def table(layouts: Sequence[Layout]) -> str:
+    """Lines of a table of layouts of one kind, columns aligned; names stand at the left."""
+    heads = layouts[0].heads
+    rows = [heads, *(one.row() for one in layouts)]
     wide = [max(len(r[i]) for r in rows) for i in range(len(heads))]
     left = 0, heads.index("at load")
     return "\n".join(

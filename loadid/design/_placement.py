@@ -15,7 +15,8 @@ from structures.errors import InputError
 from . import _layout as search
 from ._candidates import CandidateSensors, expected, settle
 from ._comparison import checked, draw, of
-from ._layout import Judged, RowSet, table
+from ._forecast import Forecast
+from ._layout import Layout, RowSet, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,30 +38,35 @@ class Placement:
     chosen : tuple of int
         Rows of the candidates, the most useful first.
     criterion : str
-    layout : Judged
-        The chosen sensors.
-    everything : Judged
-        All candidates: nothing better can be had from them.
+    layout, everything : Judged or HitLayout
+        The chosen sensors, and all candidates: nothing better can be had from them.
     gains : tuple of (str, float, float)
-        For each sensor in turn: label, log det and worst share with it and those before it.
-    ties : tuple of tuple of str
-        Other sets that are as good, by mirror symmetry for example; at most eight.
+        For each sensor in turn its label, and what the layout is with it and those before it: log det and worst share
+        for static loads, worst and mean error for hits.
     expected : str
         The loads that they were chosen for, in words.
     method : str
         How they were found.
+    ties : tuple of tuple of str
+        Other sets that are as good, by mirror symmetry for example; at most eight. Not looked for among hits.
+    random : tuple of float
+        For hits: worst (or mean) errors of random layouts of as many sensors, ascending.
+    forecast : Forecast or None
+        For hits: of the chosen sensors.
     candidates_at, loads_at, outline : array or None
         Places (m), for the picture.
     """
 
     chosen: tuple[int, ...]
     criterion: str
-    layout: Judged
-    everything: Judged
+    layout: Layout
+    everything: Layout
     gains: tuple[tuple[str, float, float], ...]
-    ties: tuple[tuple[str, ...], ...]
     expected: str
     method: str = ""
+    ties: tuple[tuple[str, ...], ...] = ()
+    random: tuple[float, ...] = ()
+    forecast: Forecast | None = None
     candidates_at: NDArray[np.float64] | None = None
     loads_at: NDArray[np.float64] | None = None
     outline: NDArray[np.float64] | None = None
@@ -71,18 +77,21 @@ class Placement:
         return self.layout.sensors
 
     def table(self) -> str:
-        """The layout beside all candidates, what each sensor adds, and the sets that are as good."""
-        lines = [table([self.layout.row(), self.everything.row()]), f"for {self.expected}; chosen by {self.method}"]
+        """The layout beside all candidates, what each sensor adds, and sets that are as good, or random ones."""
+        lines = [table([self.layout, self.everything]), f"for {self.expected}; chosen by {self.method}"]
+        if self.random:
+            lines.append(f"{len(self.random)} random layouts: {self.criterion} error {self.random[0]:.1%} to "
+                         f"{self.random[-1]:.1%}, median {float(np.median(self.random)):.1%}")  # fmt: skip
         lines.append("what each sensor adds:")
         wide = max(len(label) for label, _, _ in self.gains)
-        lines += [f"  {label.ljust(wide)}  log det {d:8.4g}  worst std {w:.1%}" for label, d, w in self.gains]
+        lines += [f"  {label.ljust(wide)}  {self.layout.measured(*of)}" for label, *of in self.gains]
         if self.ties:
             more = "at least " if len(self.ties) == SHOWN else ""
             lines.append(f"ties: {more}{len(self.ties)} other sets are as good, the first: {', '.join(self.ties[0])}")
         return "\n".join(lines)
 
     def __str__(self) -> str:
-        return self.table()
+        return self.table() if self.forecast is None else f"{self.forecast}\n{self.table()}"
 
     def plot(self, **settings: Any) -> Figure:
         """Picture of the layout, the worst load marked; see `loadid.design._comparison.draw`."""
@@ -96,9 +105,11 @@ class Placement:
             "layout": self.layout.to_dict(),
             "everything": self.everything.to_dict(),
             "gains": [list(g) for g in self.gains],
-            "ties": [list(t) for t in self.ties],
             "expected": self.expected,
             "method": self.method,
+            "ties": [list(t) for t in self.ties],
+            "random": list(self.random),
+            "forecast": None if self.forecast is None else self.forecast.to_dict(),
         }
 
 

@@ -53,11 +53,17 @@ class Profile(ReadOnly):
         if f.ndim != 1 or len(f) < 2 or x.shape != f.shape or not np.all(np.isfinite([*f, *x])):
             raise InputError("no breakpoints", where="Profile", found=f"{f.shape} frequencies, {x.shape} levels",
                              expected="a level for each of two or more frequencies")  # fmt: skip
-        if f[0] <= 0 or np.any(np.diff(f) <= 0) or np.any(x <= 0):
-            raise InputError("breakpoints have no logarithm", where="Profile", found=f"{f[0]:g} Hz, level {x.min():g}",
-                             expected="Hz above 0, ascending, and levels above 0",
+        if np.any(np.diff(f) <= 0):
+            k = int(np.argmax(np.diff(f) <= 0))
+            raise InputError("breakpoints are not ascending", where="Profile, frequencies",
+                             found=f"{f[k + 1]:g} Hz after {f[k]:g} Hz", expected="Hz, ascending",
                              hint="a step is two breakpoints, a hair apart")  # fmt: skip
         factor, channel = scale(unit)
+        if f[0] <= 0 or np.any(x <= 0):
+            k = int(np.argmax((f <= 0) | (x <= 0)))
+            raise InputError("breakpoints have no logarithm", where="Profile", found=f"{x[k]:g} at {f[k]:g} Hz",
+                             expected=f"Hz and levels above 0, in {unit}",
+                             hint="of a level in dB take 10^(dB/10), of an amplitude 10^(dB/20)")  # fmt: skip
         object.__setattr__(self, "frequencies", f)
         object.__setattr__(self, "levels", x * factor)
         object.__setattr__(self, "unit", channel)
@@ -162,9 +168,18 @@ class Profile(ReadOnly):
         return made
 
 
+def _base(unit: str) -> str | None:
+    """``g`` of ``"g^2/Hz"``, however that is spelled; None of what is no density."""
+    text = str(unit).replace(" ", "").replace("²", "^2").replace("**", "^")
+    if not text.lower().endswith("2/hz"):
+        return None
+    base = text[: -len("2/Hz")].removesuffix("^")
+    return base[1:-1] if base.startswith("(") and base.endswith(")") else base
+
+
 def is_density(unit: str) -> bool:
     """Whether a unit is a density: ``g^2/Hz``."""
-    return str(unit).replace(" ", "").replace("²", "^2").endswith("^2/Hz")
+    return _base(unit) is not None
 
 
 def scale(unit: str) -> tuple[float, str]:
@@ -175,13 +190,14 @@ def scale(unit: str) -> tuple[float, str]:
     InputError
         An unknown unit.
     """
-    text = str(unit).replace(" ", "").replace("²", "^2")
-    if not is_density(text):
-        known = _units.parse(text)
-        return known.factor, known.si
-    base = text.removesuffix("^2/Hz")
-    known = _units.parse(base.removeprefix("(").removesuffix(")"))
-    return known.factor**2, unit_of(known.si, DENSITIES)
+    base = _base(unit)
+    if (base is None and "hz" in str(unit).lower()) or not _units.known(str(unit) if base is None else base):
+        raise InputError("unknown unit", where="Profile, unit", found=repr(unit),
+                         expected="a density such as g^2/Hz, (m/s^2)^2/Hz or V^2/Hz; of a sine an amplitude such as g",
+                         hint="square levels per root of Hz, turn levels in dB into numbers; an rms over a band is a "
+                         "limit, not a profile")  # fmt: skip
+    known = _units.parse(str(unit) if base is None else base)
+    return (known.factor, known.si) if base is None else (known.factor**2, unit_of(known.si, DENSITIES))
 
 
 def checked_unit(profile: Profile, channel: Channel, density: bool, where: str) -> None:
@@ -196,7 +212,7 @@ def checked_unit(profile: Profile, channel: Channel, density: bool, where: str) 
     if profile.unit != wanted and "arbitrary" not in (channel.unit, profile.unit.removesuffix("^2/Hz")):
         raise InputError("the unit of the profile is not that of the channel", where=f"{where}, {channel.label}",
                          found=profile.unit, expected=wanted,
-                         hint="g for accelerations, V for drives, N for forces")  # fmt: skip
+                         hint="g^2/Hz for random accelerations, g for a sine; V for drives, N for forces")  # fmt: skip
 
 
 # -- targets -----------------------------------------------------------------------------------------------------------

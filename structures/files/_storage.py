@@ -134,19 +134,19 @@ def as_path(path: str | os.PathLike[str]) -> Path:
         return Path(text)
 
 
-def require_suffix(path: Path, suffixes: Sequence[str], *, where: str = "") -> None:
-    """Nothing, if a name ends as what is written there does, or has no suffix.
+def require_suffix(path: Path, suffixes: Sequence[str], *, where: str = "", bare: bool = True) -> None:
+    """Nothing, if a name ends as what is written there does, or has no suffix where `bare` names are taken.
 
     Raises
     ------
     InputError
-        Another suffix: the file would be taken for what it is not.
+        Another suffix, or none: the file would be taken for what it is not.
     """
-    if path.suffix and path.suffix.lower() not in suffixes:
+    if path.suffix.lower() not in (*suffixes, *([""] if bare else [])):
         raise InputError(
-            "the suffix is not that of what is written",
+            "the suffix is not that of what is written" if path.suffix else "the name has no suffix",
             where=where or str(path),
-            found=path.suffix,
+            found=path.suffix or path.name,
             expected=" or ".join(suffixes),
             hint=f"name it {path.with_suffix(suffixes[0]).name}",
         )

@@ -30,6 +30,7 @@ from ..vision._images import grid
 
 DRAWS, CHOSEN = 1500, 6
 TESTED, ASKED, DEEP = 48, 4, 2  # presses that maps answer, those of them that the physics does, too deep ones
+LEAST = 100  # draws, of which a fifth calibrates
 SIZE, THICKNESS, E, NU, NOISE = (12e-3, 12e-3), 2.5e-3, 147e3, 0.45, 2e-6
 KNOWN = (
     IndenterRange("sphere", 2.0, radius=(2e-3, 6e-3)),
@@ -85,8 +86,11 @@ def demo(
     Raises
     ------
     InputError
-        A folder that cannot be made, or that holds another set.
+        Too few draws, a folder that cannot be made, or that holds another set.
     """
+    if draws < LEAST:
+        raise InputError("too few draws for a map that states its std", where="--draws", found=draws,
+                         expected=f"at least {LEAST}", hint="leave --draws out, for a map of use")  # fmt: skip
     tell, place = progress or (lambda share, words: None), Path(folder)
     try:
         place.mkdir(parents=True, exist_ok=True)

@@ -89,6 +89,19 @@ def outcome(door: Door, data: bytes, whole: list[Any], seed: int, folder: Path) 
     return kind, "same" if same else "flagged" if flagged else "shorter" if fewer else "other values", seconds
 
 
+def described(data: bytes, seed: int) -> str:
+    """Damage of a mutant in words: its kind, and what lies around the first byte that is not as it was.
+
+    Cuts between two lines are one kind: no text shows them.
+    """
+    kind, damaged = mutant(data, seed)
+    same = np.frombuffer(data, np.uint8)[: len(damaged)] == np.frombuffer(damaged, np.uint8)[: len(data)]
+    at = len(same) if same.all() else int(np.argmin(same))
+    if kind == "truncated" and b"\n" in data[at - 1 : at + 1]:
+        return "cut between two lines"
+    return f"{kind} at {at} of {len(data)}: {data[max(0, at - 12) : at]!r} | {data[at : at + 12]!r}"
+
+
 def equal(one: Any, other: Any) -> bool:
     """Whether two arrays or values are the same, NaN for NaN."""
     one, other = np.asarray(one), np.asarray(other)
@@ -288,6 +301,7 @@ def main(seeds: range, names: list[str]) -> None:
             if names and not door.name.startswith(tuple(names)):
                 continue
             told: Counter[str] = Counter()
+            less: Counter[str] = Counter()
             slowest, said = 0.0, []
             data, whole = door.path.read_bytes(), door.read(door.path)[0]
             for seed in seeds:
@@ -297,12 +311,13 @@ def main(seeds: range, names: list[str]) -> None:
                     found, seconds = "foreign", 0.0
                     said.append(f"seed {seed}: {type(error).__name__}: {error}"[:160])
                 if found == "shorter":
-                    said.append(f"seed {seed}: shorter")
+                    less[described(data, seed)] += 1
                 told[found] += 1
                 slowest = max(slowest, seconds)
             counts = [told[k] for k in ("refused", "flagged", "same", "shorter", "other values", "foreign")]
             print(f"{door.name:20}{len(seeds):9}{counts[0]:9}{counts[1]:9}{counts[2]:7}{counts[3]:9}{counts[4]:7}"
-                  f"{counts[5]:9}{slowest:11.3f}", *(f"\n    {one}" for one in said[:12]), flush=True)  # fmt: skip
+                  f"{counts[5]:9}{slowest:11.3f}", *(f"\n    {one}" for one in said[:12]),
+                  *(f"\n    shorter: {n} {one}" for one, n in less.most_common(24)), flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

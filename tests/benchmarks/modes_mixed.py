@@ -1,8 +1,9 @@
 """How true the stated std of modes is where accelerometers and displacement sensors stand in one test.
 
-Run ``python -m tests.benchmarks.modes_mixed [SEEDS]`` (40 by default, two minutes of processor time): errors of
+Run ``python -m tests.benchmarks.modes_mixed [SEEDS]`` (150 by default, five minutes of processor time): errors of
 frequencies and damping over their stated std (rms, 1 is right) and the share inside 1.96 std, for accelerometers and
-displacement sensors in one test and each alone, with the variance of the FRFs stated and not.
+displacement sensors in one test and each alone, with the variance of the FRFs stated and not. The lines share their
+noises: 40 of them leave an rms uncertain by 7 %, and all lines alike.
 
 The noise is white over the band, and as large as 2 % of the rms of each channel. The truth is a closed form: the modes
 of a simply supported beam, and what is beyond the band is left out of it.
@@ -25,6 +26,7 @@ KINDS = {"both": "adad", "accelerometers": "aaaa", "displacement sensors": "dddd
 UNITS = {"a": ("acceleration", "m/s^2"), "d": ("displacement", "m")}
 LOAD = Channel(label="F", quantity="force", unit="N")
 NOISE, ORDER = 0.02, 12
+FIRST = 1000  # seed
 
 
 def shapes() -> NDArray[np.float64]:
@@ -42,7 +44,7 @@ def truth(kinds: str) -> NDArray[np.complex128]:
 
 def errors(kinds: str, seed: int, stated: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Errors over stated std of frequencies and of damping ratios; None where a mode was missed."""
-    H, rng = truth(kinds), np.random.default_rng([41, seed])
+    H, rng = truth(kinds), np.random.default_rng([41, FIRST + seed])
     std = NOISE * np.sqrt(np.mean(np.abs(H) ** 2, axis=0, keepdims=True))
     noisy = H + std / np.sqrt(2) * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape))
     channels = [Channel(label=f"s{k}", quantity=UNITS[kind][0], unit=UNITS[kind][1]) for k, kind in enumerate(kinds)]
@@ -76,4 +78,4 @@ def main(seeds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 150)

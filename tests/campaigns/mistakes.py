@@ -1,4 +1,4 @@
-"""Seventy-three ordinary mistakes of the command line: what each must lead to, and what it led to.
+"""Ordinary mistakes of the command line: what each must lead to, and what it led to.
 
 Every mistake is a line of `MISTAKES`: what is done, how its files are made, and the outcome that is right, written down
 before anything is run. A mistake leads to the right answer (exit code 0, and the peak of the load within a tenth of the
@@ -329,7 +329,35 @@ def named(head: str, row: str) -> Callable[[list[str]], list[str]]:
     return lambda lines: [head, row, *lines[1:]]
 
 
+def changed(column: int, change: Callable[[Any], Any]) -> Callable[[Folder], Argv]:
+    """A column of the last hit that is not what its heading says."""
+
+    def made(at: Folder) -> Argv:
+        values = table(*LAST)
+        values[:, column] = change(values[:, column])
+        return at.identify(at.csv("other.csv", values))
+
+    return made
+
+
+def beam(*words: str) -> Callable[[Folder], Argv]:
+    """``loadid model beam``."""
+    placed = ["--sensor", "displacement:x=0.3", "--load", "point:x=0.2"]
+    return lambda at: ["model", "beam", "--length", "0.5", *placed, "-o", at.path / "new.h5", *words]
+
+
+def without(column: int) -> Edit:
+    """Lines without one of their columns."""
+    return lambda lines: [",".join(c for k, c in enumerate(line.split(",")) if k != column) for line in lines]
+
+
+def on_its_side(lines: list[str]) -> list[str]:
+    """Rows and columns exchanged."""
+    return [",".join(cells) for cells in zip(*(line.split(",") for line in lines), strict=True)]
+
+
 NAMES = "time,F,a1,a2"
+SECTION, STEEL = ("--section", "rectangle:0.04,0.01"), ("--material", "steel")
 GERMAN = {"head": HEAD.replace(",", ";").replace("time [s]", "Zeit [s]")}
 UNIT = ("--unit a1=m/s^2", "--unit a1=m/s²")  # advice that would call anything an acceleration
 
@@ -415,6 +443,29 @@ MISTAKES = (
             says=("band|lines", "Hz")),
     Mistake("wrong --fs", typed("--fs", "3000"), says=("contradict",)),
     Mistake("negative lambda", typed("--choice", "-1"), (2,), says=(">= 0",)),
+    Mistake("noise in per cent", typed("--noise", "5%"), (2,), says=("5%", "no number")),
+    Mistake("support in ms", typed("--support", "18:24"), says=("seconds", "0.2555")),
+    Mistake("support beside the hit", typed("--support", "0.15:0.2"), (1,), says=("NOT TO BE USED",)),
+    # what a channel or a table holds
+    Mistake("g under m/s^2: a1", changed(2, lambda x: x / 9.80665), (1,), says=("NOT TO BE USED",)),
+    Mistake("g under m/s^2: a2", changed(3, lambda x: x / 9.80665), (1,), says=("NOT TO BE USED",)),
+    Mistake("a sign", changed(3, lambda x: -x), (1,), says=("NOT TO BE USED",)),
+    Mistake("clipped channel", changed(2, lambda x: x.clip(-0.5 * x.max(), 0.5 * x.max())), (1,), says=("clip",)),
+    Mistake("dead channel", changed(3, lambda x: 0 * x), (1, 3), says=("a2",)),
+    Mistake("offset", changed(3, lambda x: x + 5 * x.std()), (0,)),
+    Mistake("labels swapped", spelled(head="time [s],F [N],a2 [m/s^2],a1 [m/s^2]"), (1,), says=("NOT TO BE USED",)),
+    Mistake("ms under s", changed(0, lambda x: 1e3 * x), says=("step", "0.0005")),
+    Mistake("time of three digits", changed(0, lambda x: x.round(3)), says=("does not rise", "--fs")),
+    Mistake("on its side", edited(on_its_side), says=("transpose",)),
+    Mistake("empty columns behind", edited(lambda lines: [f"{line},," for line in lines]), (0,)),
+    Mistake("a footer", edited(lambda lines: [*lines, "End of file"]), says=("line 514",)),
+    Mistake("one sensor lacks", edited(without(3)), says=("'a2'", "a1")),
+    # models
+    Mistake("section in mm", beam("--section", "rectangle:40,10", *STEEL), says=("40mm,10mm",)),
+    Mistake("E in GPa", beam(*SECTION, "--material", "E=210,rho=7850"), says=("E=210GPa",)),
+    Mistake("density in g/cm^3", beam(*SECTION, "--material", "E=210e9,rho=7.85"), says=("kg/m^3",)),
+    Mistake("damping in per cent", beam(*SECTION, *STEEL, "--damping", "2"), says=("0.02 for 2 %",)),
+    Mistake("place in mm", beam(*SECTION, *STEEL, "--sensor", "displacement:x=300"), says=("outside", "metres")),
     Mistake("full device", typed(), says=("No space left", "space"), patch=full),
     Mistake("read-only folder", lambda at: at.identify(output="/proc/r.h5"), says=("cannot be written",)),
 )  # fmt: skip
@@ -450,7 +501,7 @@ def judged(one: Mistake, at: Folder) -> Outcome:
             code, out, err = run(argv)
         except Exception as error:  # what a user would see as a traceback
             return Outcome(one, 1, f"a traceback: {type(error).__name__}", str(error))
-    said = " ".join((err if code else out).split())
+    said = " ".join((err if code > 1 else out).split())
     return Outcome(one, code, verdict(one, code, said, at), said)
 
 
@@ -462,7 +513,7 @@ def verdict(one: Mistake, code: int, said: str, at: Folder) -> str:
         return "wrong answer"
     if code not in one.codes:
         return f"exit code {code}"
-    if code and (at.result.exists() or (at.path / "new.h5").exists()):
+    if code > 1 and (at.result.exists() or (at.path / "new.h5").exists()):
         return "a file is left"
     if code and any(word in said for word in one.never):
         return "misleading hint"

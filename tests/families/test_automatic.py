@@ -53,7 +53,11 @@ HIT[100:112] = 100 * np.sin(np.pi * np.arange(12) / 12)
 def test_a_slow_load_is_smooth_and_comes_out_better() -> None:
     y = record(sensors.Displacement, SLOW)
     model = forward(sensors.Displacement)
-    plain, auto = (f(model).estimate(y, 1 / RATE) for f in (Deconvolution, AutomaticInversion))
+    said: list[tuple[float, str]] = []
+    plain = Deconvolution(model).estimate(y, 1 / RATE)
+    auto = AutomaticInversion(model, progress=lambda *told: said.append(told)).estimate(y, 1 / RATE)
+    assert [fraction for fraction, text in said if text == "done"] == [1.0]
+    assert (0.5, "plain prior: done") in said
     error = [np.linalg.norm(e.load[:, 0] - SLOW) / np.linalg.norm(SLOW) for e in (plain, auto)]
     assert auto.facts["variance"] == "smooth"
     assert error[1] < 0.8 * error[0]

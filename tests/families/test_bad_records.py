@@ -219,3 +219,24 @@ def test_clipped_and_held_samples_can_be_taken_out():
     )
     assert right < 0.1 * np.linalg.norm(g)
     assert right < 0.3 * wrong
+
+
+# -- channels that are no response --------------------------------------------------------------------------------------
+@pytest.mark.parametrize("value", [0.0, 3.0])
+def test_a_channel_that_is_the_same_throughout(value):
+    y = Y.copy()
+    y[:, 1] = value
+    assert "s1" in refused("the same throughout", MODEL, y)
+    assert Deconvolution(MODEL, sensors=["s0"]).estimate(y, DT).load.shape == (N, 1)
+    assert Deconvolution(MODEL, noise=1.0).estimate(y, DT).std.max() < np.inf  # a stated noise may hide a response
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e5])
+def test_a_channel_far_too_large_beside_a_stated_noise_has_the_worst_grade(factor):
+    pulse = np.where((np.arange(N) > 30) & (np.arange(N) < 40), 100.0, 0.0)[:, None]
+    y = MODEL.predict(pulse, DT)
+    noise = 0.01 * y.std(axis=0)
+    y = (y + noise * Y) * [1.0, factor]
+    found = Deconvolution(MODEL, noise=noise).estimate(y, DT)
+    assert found.grade.letter == "D"
+    assert any(f.code == "LID-W412" for f in found.flags)

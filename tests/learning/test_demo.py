@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from loadid._learning.network import Schedule
+from structures import InputError
 from tactile import LearnedSensor
 from tactile._commands import _skin
 
@@ -30,3 +31,9 @@ def test_the_demonstration_tells_and_draws_and_does_without_torch(
     assert errors["presses like these", "linear"].error < 0.9
     assert (tmp_path / "map.png").stat().st_size > 20_000
     assert LearnedSensor.read(tmp_path / "map.h5", _skin.skin(0.1)).fitted.facts["draws"] == 400
+
+
+def test_too_few_draws_are_refused_before_any_is_made(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least 100"):
+        _skin.demo(tmp_path / "demo", draws=_skin.LEAST - 1)
+    assert not (tmp_path / "demo").exists()

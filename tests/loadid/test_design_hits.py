@@ -29,11 +29,11 @@ def cantilever(places: Any = PLACES, noise: float = 0.5) -> ForwardModel:
 
 
 @pytest.fixture(scope="module")
-def placed() -> design.HitPlacement:
+def placed() -> design.Placement:
     return design.place_for_hits(cantilever(), 2, pulse=PULSE)
 
 
-def test_the_best_of_all_sets_is_found_and_by_the_search_too(placed: design.HitPlacement) -> None:
+def test_the_best_of_all_sets_is_found_and_by_the_search_too(placed: design.Placement) -> None:
     """Each set as a model of its own, by the forecast of `loadid check`, which is twice as fine and longer."""
     told = {rows: forecast(cantilever([PLACES[i] for i in rows]), pulse=Pulse(*PULSE)).worst.error
             for rows in combinations(range(len(PLACES)), 2)}  # fmt: skip
@@ -47,7 +47,7 @@ def test_the_best_of_all_sets_is_found_and_by_the_search_too(placed: design.HitP
     assert searched.method != placed.method
 
 
-def test_records_agree_that_the_choice_is_better_than_a_bad_one(placed: design.HitPlacement) -> None:
+def test_records_agree_that_the_choice_is_better_than_a_bad_one(placed: design.Placement) -> None:
     error = []
     for rows in (placed.chosen, (0, 1)):
         model = cantilever([PLACES[i] for i in rows])
@@ -56,7 +56,7 @@ def test_records_agree_that_the_choice_is_better_than_a_bad_one(placed: design.H
     assert error[0] < 0.7 * error[1]
 
 
-def test_what_is_told_beside_the_sensors(placed: design.HitPlacement) -> None:
+def test_what_is_told_beside_the_sensors(placed: design.Placement) -> None:
     assert (placed.layout.rank, placed.layout.nullity) == (2, 0)
     assert placed.everything.share.max() <= placed.layout.share.max()
     assert placed.random[0] >= 0.9 * placed.layout.share.max()

@@ -36,6 +36,7 @@ def listing(folder):
         ["-o", "x"],
         ["-o", ""],
         ["-o", "hit3.csv/r.h5"],
+        ["-o", "result"],
         ["-o", "r.pdf"],
         ["-o", "o.txt"],
         ["-o", "r.json"],

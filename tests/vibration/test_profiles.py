@@ -27,6 +27,14 @@ def test_the_rms_is_the_integral() -> None:
     assert profile.rms == pytest.approx(np.sqrt(np.trapezoid(profile.at(f), f)), rel=1e-6)
 
 
+@pytest.mark.parametrize("spelled", ["g2/Hz", "g²/Hz", "g**2/Hz", "(g)^2/Hz", "g^2 / Hz"])
+def test_a_density_is_one_however_it_is_spelled(spelled: str) -> None:
+    own, plain = Profile([10, 20], [1, 2], spelled), Profile([10, 20], [1, 2], "g^2/Hz")
+    assert own.density
+    assert own.unit == plain.unit
+    np.testing.assert_array_equal(own.levels, plain.levels)
+
+
 def test_slopes_of_amplitudes_are_twice_as_flat_on_paper() -> None:
     sine = Profile.from_slopes([10, 20, 40], [6.0206, 0], level=1.0, at=20, unit="g")
     assert np.allclose(sine.levels / G, [0.5, 1, 1], rtol=1e-4)
@@ -37,6 +45,11 @@ def test_slopes_of_amplitudes_are_twice_as_flat_on_paper() -> None:
     ("make", "says"),
     [
         (lambda: Profile([20, 10], [1, 1], "g^2/Hz"), "ascending"),
+        (lambda: Profile([10, 30, 20], [1, 1, 1], "g^2/Hz"), "20 Hz after 30 Hz"),
+        (lambda: Profile([10, 20], [-30, -36], "g^2/Hz"), "-30 at 10 Hz.*dB"),
+        (lambda: Profile([10, 20], [1, 1], "g/sqrt(Hz)"), r"density such as g\^2/Hz.*square"),
+        (lambda: Profile([10, 20], [1, 1], "grms"), r"density such as g\^2/Hz"),
+        (lambda: Profile([10, 20], [1, 1], "g/Hz"), r"density such as g\^2/Hz"),
         (lambda: Profile([0, 10], [1, 1], "g^2/Hz"), "no logarithm"),
         (lambda: Profile([10, 20], [1, 0], "g"), "no logarithm"),
         (lambda: Profile([10], [1], "g"), "no breakpoints"),

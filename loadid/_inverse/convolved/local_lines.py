@@ -437,13 +437,15 @@ class LocalLinesPrior(Judgement):
         _, expected, _, _ = self.pass_.line_scores()
         return float(np.sum(self.pass_.v * known) + self.pass_.floor @ expected)
 
-    def unexplained(self) -> float:
+    def unexplained(self, excused: Array | float = 0.0, varying: Array | float = 1.0) -> float:
         """Sum of the squares of the whitened data that neither the load nor errors of the FRF explain.
 
-        Noise that was learned is that of tests: a record may have `LOUDER` times its power.
+        Noise that was learned is that of tests: a record may have `LOUDER` times its power. Of the energy of each
+        response a share may be `excused`, and of that of its residual a share counts as `varying`, (m,).
         """
         rest, noise = np.abs(self.pass_.R * self.pass_.of_data[1]) ** 2, np.clip(self.fit.r, 1.0, LOUDER)
-        return float(np.sum(self.fit.whole.weight @ (rest / (noise + self.fit.energy))))
+        left = (varying * rest - excused * np.abs(self.fit.whole.Y) ** 2) / (noise + self.fit.energy)
+        return float(np.sum(np.maximum(self.fit.whole.weight @ left, 0.0)))
 
     def with_gains(self, covariance: Array) -> LocalLinesPrior:
         """The prior with errors of the gains in its band, as far as the data do not rule them out, (m, m)."""

@@ -72,6 +72,17 @@ def test_a_segment_of_tdms_that_was_never_closed(tmp_path):
     assert all("W209" in codes(t.flags) for t in scan(path))
 
 
+@pytest.mark.parametrize("mark", [0x37, 0x6E, 0xFF])
+def test_a_segment_of_tdms_with_damaged_marks_is_not_passed_over(tmp_path, mark):
+    """No raw data, or numbers of the other endianness: its library drops the samples of such a segment in silence."""
+    path = tdms(tmp_path / "x.tdms")
+    data = path.read_bytes()
+    second = data.index(b"TDSm", 4)
+    path.write_bytes(data[: second + 4] + bytes([mark]) + data[second + 5 :])
+    with pytest.raises(InputError, match="segment"):
+        read(path)
+
+
 def test_rates_and_groups_of_tdms_are_records(tmp_path):
     nptdms = pytest.importorskip("nptdms")
     stamps = np.datetime64("2026-11-24T08:00:00") + np.arange(8) * np.timedelta64(250, "ms")
