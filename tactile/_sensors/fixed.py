@@ -257,6 +257,8 @@ class QuickMap:
             else:
                 force, covariance = inverse.resultant @ about.load, about.wrench
             if found is None:
+                if about is not None:
+                    load, variance = about.beside(load, variance)
                 load = band.corrected(load, force)
             else:
                 found = self.pressed(steady, held(force, asked, self.contact.friction, self._along(load)), answer)
@@ -269,7 +271,7 @@ class QuickMap:
         if self.contacts is not None and wrench is None and about is None and not quick and not self.normal:
             covariance[2, 2] += wide**2 * self.contacts.hidden(steady / inverse.noise / wide)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
-        return replace(done, noise=wide * np.sqrt(band.noise))
+        return replace(done, noise=np.minimum(wide * np.sqrt(band.noise), done.std))
 
     def _about(self, y: Array, wide: float) -> LocalLoad | None:
         """Loads about the contacts of readings (m,), NaN where lost; None where they are not what the readings say.

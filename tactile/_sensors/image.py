@@ -14,13 +14,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from structures.errors import positive
 
 from .._arrays import Array, Index, Mask
 from .._guards import MOVED
 from .inversion import Inverse
+from .lattice import Lattice
 
 if TYPE_CHECKING:
     from .gaussian import GaussianProblem
@@ -137,7 +138,6 @@ SETTLED = 0.02  # of these, that the last pass moves a marker by
 NOISE = 0.5  # of the noise of one marker
 ERRING = 0.03  # of the largest motion of a marker: what errors of the model make of it far from a contact, at most
 FAR = 0.005  # and their std
-NEAR = 1.0  # thicknesses about a contact within which loads may act
 MODES = 40  # of the loads about a contact, of each component: what markers far from it feel
 KEPT = 64  # regions
 SEEN = 1e4  # stds of the noise: no motion of a marker is larger
@@ -249,50 +249,60 @@ class ImageFit:
 
     def _told(self, loaded: Mask) -> _Told:
         """What tells the motion while these nodes are loaded: alike for all of the same blocks."""
-        blocks = np.isin(self._blocks, self._blocks[loaded])
-        key = blocks.tobytes()
+        near = self._lattice.near[self._lattice.block[loaded]].any(axis=0)
+        key = near.tobytes()
         found = self._known.get(key)
         if found is None:
-            found = self._fitted(blocks)
+            found = self._fitted(np.flatnonzero(near))
             while len(self._known) >= KEPT:
                 self._known.pop(next(iter(self._known)), None)
             self._known[key] = found
         return found
 
     @cached_property
-    def _blocks(self) -> Index:
-        """Which block, half as wide as the gel is thick, each node lies in (P,)."""
-        at = np.floor(2 * self.places[:, :2] / self.thickness).astype(int)
-        return np.unique(at, axis=0, return_inverse=True)[1].ravel().astype(np.intp)
+    def _lattice(self) -> Lattice:
+        return Lattice.over(self.places[:, :2], self.thickness)
 
-    def _near(self, loaded: Mask) -> Index:
-        """Nodes where loads may act (k,)."""
-        from scipy.spatial import cKDTree
+    @cached_property
+    def _made(self) -> list[list[Array]]:
+        """What hats of the lattice make of the whitened readings: by the model and its errors, of each component."""
+        problem, hats = self.problem, self._lattice.hats
+        parts = [problem.whitened]
+        parts += [e.change * (e.weight / problem.noise[:, None]) for e in problem.errors() if e.of_mesh]
+        roots = np.sqrt(problem.prior.share)
+        return [[np.asfortranarray(roots[c] * (hats.T @ part[:, c::3].T).T) for c in range(3)] for part in parts]
 
-        if not loaded.any():
-            return np.flatnonzero(loaded)
-        return np.flatnonzero(cKDTree(self.places[loaded]).query(self.places)[0] <= NEAR * self.thickness)
+    @cached_property
+    def _alike(self) -> Array:
+        """Covariance of the hats (k, k) under the prior: of means over them."""
+        W = self._lattice.hats / self._lattice.hats.sum(axis=0)
+        return np.asarray(W.T @ (W.T @ self.problem.prior.matrix).T)
 
-    def _fitted(self, loaded: Mask) -> _Told:
-        nodes = self._near(loaded)
-        problem, std = self.problem, self.motion.std
+    def prepare(self) -> None:
+        """All that does not depend on where a load is."""
+        _ = self._made, self._alike
+
+    def _fitted(self, near: Index) -> _Told:
+        """What tells the motion beside loads on some hats of the lattice.
+
+        An identity lies under singular values of `SEEN` at most, so that their squares cost no digits that count.
+        """
+        std = self.motion.std
         unknown = [self.moved * std]
-        if nodes.size:
-            modes = problem.prior.modes(nodes, MODES)
-            columns = (3 * nodes[:, None] + np.arange(3)).ravel()
-            made = problem.whitened[:, columns] @ modes
-            free = min(FREE / (self.inverse.lam * self.inverse.scale), SEEN / float(np.abs(made).max()))
-            modes = free * modes
-            unknown.append(free * made)
-            unknown += [error.change[:, columns] @ (error.weight * modes) / problem.noise[:, None]
-                        for error in problem.errors() if error.of_mesh]  # fmt: skip
+        if near.size:
+            w, V = np.linalg.eigh(self._alike[np.ix_(near, near)])
+            modes = np.sqrt(np.maximum(w[::-1][:MODES], 0.0)) * V[:, ::-1][:, :MODES]
+            made = [[columns[:, near] @ modes for columns in part] for part in self._made]
+            largest = max(float(np.abs(one).max()) for one in made[0])
+            free = min(FREE / (self.inverse.lam * self.inverse.scale), SEEN / largest)
+            unknown += [free * one for part in made for one in part]
         A = np.hstack(unknown)
-        Q, R = np.linalg.qr(np.vstack([A, np.eye(A.shape[1])]))
-        back = solve_triangular(R, np.eye(len(R))[:, : len(std)], trans="T").T * std[:, None]  # std R^-1
-        rows = back @ Q[: len(A)].T
-        gel = [(rows / problem.noise) @ e.change for e in problem.errors() if not e.of_mesh]
-        errors = np.array(gel).reshape(-1, len(std), problem.H.shape[1])
-        return _Told(rows, back @ back.T, errors)
+        factor = cho_factor(A.T @ A + np.eye(A.shape[1]), lower=True, overwrite_a=True, check_finite=False)
+        back = cho_solve(factor, np.eye(A.shape[1], len(std)), check_finite=False).T * std[:, None]
+        rows = back @ A.T
+        gel = [(rows / self.problem.noise) @ e.change for e in self.problem.errors() if not e.of_mesh]
+        errors = np.array(gel).reshape(-1, len(std), self.problem.H.shape[1])
+        return _Told(rows, back[:, : len(std)] * std, errors)
 
     def _shift(self, a: Array, covariance: Array, y: Array, wide: float) -> ImageShift:
         """What stands clear of chance; the rest is no motion: a camera stands still until something says otherwise."""

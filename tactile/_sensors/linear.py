@@ -258,7 +258,10 @@ class LinearSensor(MarkedSensor):
         noise = [float(s.noise or 0.0) for s in self.model.sensors]
         still = np.random.default_rng(0).standard_normal(len(noise)) * noise
         with alone(len(self.kept)):
-            self._mapped(self._quick_map(True), still, None, [], quick=True)
+            frozen = self._quick_map(True)
+            if frozen.image is not None:
+                frozen.image.prepare()
+            self._mapped(frozen, still, None, [], quick=True)
 
     def calibrate(
         self,

@@ -35,6 +35,7 @@ WHOLE = 0.015  # of a force: std of what nodes do not show of it
 SPREAD = 0.5  # of what changes when a load is spread over the nodes beside it: std of what no mesh tells of its shape
 ERRING = 0.03  # of the largest reading: what errors of a model make of the others, in which no load is to be read
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
+LEAST = 0.1  # of the variance of loads that may lie anywhere: what one about a contact has at least
 PARTS = 4  # sets of readings that are kept
 MANY = 8  # discs, of which loads that only press are averaged
 INNER = (
@@ -64,6 +65,17 @@ class LocalLoad:
     likely: tuple[tuple[float, Fitted], ...]
     wide: float
     regions: Mapping[int, float]
+
+    def beside(self, load: Array, variance: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of this load and another (n,) of the same readings, that may lie anywhere.
+
+        Each is smooth, or rough, where the other is not: their errors are hardly correlated (.1 on average), so that
+        they are weighed by their variances. How far they lie apart is in the band, as that of two models.
+        """
+        own = np.maximum(self.std**2, LEAST * variance)
+        weight = own / np.maximum(own + variance, np.finfo(float).tiny)  # of the other
+        mean = weight * load + (1 - weight) * self.load
+        return mean, (1 - weight) * own + weight * (1 - weight) * (load - self.load) ** 2
 
 
 @dataclass(frozen=True, eq=False)

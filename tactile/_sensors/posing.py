@@ -29,7 +29,7 @@ from structures._models.arrays import MatrixModel
 from structures.errors import InputError, plain
 
 from .._arrays import Array, Index
-from .._guards import large_strain
+from .._guards import LINEAR, large_strain
 from .marked import ContactLaw
 from .observation import Wrench
 from .prior import ContactPrior
@@ -115,11 +115,14 @@ def neighbours(cells: Index | None, places: Array) -> sparse.csr_array:
 
 LIKE = 1.2  # by how much a peak may change until its ratio to the strain is found anew
 GROWN = 3.0  # by how much it may grow, however recent that was: what came before may have been noise
-REST = 120  # frames between two solves, at least: a solve costs as much as many maps
+REST = 600  # frames between two solves, at least: a solve costs as much as some maps, and a camera does not wait
 
 
 class StrainWatch:
-    """Guard W112 over frames. Strain is linear in the load: maps of one shape need one solve."""
+    """Guard W112 over frames. Strain is linear in the load: maps of one shape need one solve.
+
+    Presses far below the linear range need none: by the ratio of another shape they are below a third of it.
+    """
 
     def __init__(self, pad: Pad) -> None:
         self.pad = pad
@@ -133,7 +136,8 @@ class StrainWatch:
         known, ratio, rested = self._last
         rested += 1
         other = not known / LIKE < peak < known * LIKE
-        if (other and rested > REST) or peak > GROWN * known:
+        near = ratio == 0 or GROWN * ratio * peak > LINEAR
+        if near and ((other and rested > REST) or peak > GROWN * known):
             known, ratio, rested = peak, float(np.abs(self.pad.strain(forces)).max()) / peak, 0
         self._last = known, ratio, rested
         return large_strain(ratio * peak)

@@ -34,6 +34,7 @@ def main() -> None:
     parser.add_argument("--family", choices=faults.FAMILIES, default="static", help="for faults")
     parser.add_argument("--size", type=float, help="relative size of the error of an FRF, for frequency")
     parser.add_argument("--sensor", choices=list(tactile.KINDS), help="of tactile, the only one")
+    parser.add_argument("--single", action="store_true", help="of tactile: no frames at rest or shifted, one lambda")
     parser.add_argument("--longest", type=int, help="samples that a record may have, for long")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -50,6 +51,8 @@ def main() -> None:
             grades.write(of, other, f"--problems {given.problems} --seed {given.seed}")
     else:
         settings: dict[str, Any] = {k: v for k in ("size", "longest", "sensor") if (v := vars(given)[k]) is not None}
+        if given.single:
+            settings["single"] = True
         if given.variance:
             settings["penalty"] = Penalty("identity", variance=given.variance)
         found = []

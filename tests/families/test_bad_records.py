@@ -221,7 +221,7 @@ def test_clipped_and_held_samples_can_be_taken_out():
     assert right < 0.3 * wrong
 
 
-# -- channels that are no response --------------------------------------------------------------------------------------
+# -- channels that are no response ------------------------------------------------------------------------------------
 @pytest.mark.parametrize("value", [0.0, 3.0])
 def test_a_channel_that_is_the_same_throughout(value):
     y = Y.copy()

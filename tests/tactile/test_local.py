@@ -15,7 +15,7 @@ from structures._threads import threads
 from tactile import Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import Fitted
-from tactile._sensors.local import SPREAD, ContactFit, _reach
+from tactile._sensors.local import SPREAD, ContactFit, LocalLoad, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -304,3 +304,31 @@ def test_contacts_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(ContactFit, "contacts", contacts)
     assert fit()(np.zeros(len(fit().moved))) is None
     assert set(seen) <= {1}
+
+
+def test_a_map_of_markers_along_all_axes_is_nearer_than_either_of_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loads about the contact and loads anywhere, weighed: of a press on another mesh."""
+    parts: list[Any] = []
+    whole = LocalLoad.beside
+    monkeypatch.setattr(LocalLoad, "beside", lambda self, *other: parts.extend((self, *other)) or whole(self, *other))
+    patch = Patch("round", (0.9e-3, -0.6e-3), (2.2e-3, 0.0), 0.0, (0.03, -0.02, -0.15))
+    moved = surfaces([(patch,)], "fe", SIZE, THICK, NU)[0](markers()) / E
+    seen = moved + NOISE * np.random.default_rng(6).standard_normal(moved.shape)
+    pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
+    s = MultilayerPad(pad, Markers(markers(), NOISE, "XYZ"), choice=0.03)
+    found, (about, anywhere, _) = s.estimate(seen), parts
+    assert np.allclose(found.resultant().value[:3], s.resultant[:3] @ about.load, rtol=1e-6)
+    true = patch.density(pad.nodes2d)[:, None] * np.array(patch.force)
+    mean, nearest, open_ = (load.reshape(-1, 3) - true for load in (found.load, about.load, anywhere))
+    assert np.linalg.norm(mean) < 0.85 * min(np.linalg.norm(nearest), np.linalg.norm(open_))
+    under = true[:, 2] != 0
+    assert np.mean(np.abs(mean)[under] <= 1.96 * found.std.reshape(-1, 3)[under]) > 0.85
+
+
+def test_two_loads_of_the_same_readings_are_weighed_by_their_variances() -> None:
+    load, std = np.array([1.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.0])
+    local = LocalLoad(load, std, np.eye(6), Fitted((), np.empty((0, 3)), 0.0), 1.0, (), 1.0, {1: 1.0})
+    mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))
+    assert np.allclose(mean, (1.0, 2.5, 0.1))
+    # two that lie apart are wider; a place without a contact keeps a tenth of what is open there
+    assert np.allclose(variance, (0.5, 0.75 + 0.1875 * 4, 0.1 / 1.1 + 0.1 / 1.21 * 1.21))
