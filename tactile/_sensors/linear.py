@@ -689,6 +689,17 @@ class MultilayerPad(LinearSensor):
     def _gel(self) -> Pad:
         return self.pad
 
+    def prepare(self) -> None:
+        """As every linear sensor; strain is found beside the loop from here on, and W112 comes some frames late.
+
+        Raises
+        ------
+        InputError
+            Where lambda is not fixed yet.
+        """
+        super().prepare()
+        self._strain.beside = True
+
     def _checked(self, load: Array) -> list[Flag | None]:
         return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
 

@@ -9,6 +9,7 @@ discrepancy bounds it. Where both lie far below the discrepancy, they follow an 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
@@ -115,32 +116,46 @@ def neighbours(cells: Index | None, places: Array) -> sparse.csr_array:
 
 LIKE = 1.2  # by how much a peak may change until its ratio to the strain is found anew
 GROWN = 3.0  # by how much it may grow, however recent that was: what came before may have been noise
-REST = 600  # frames between two solves, at least: a solve costs as much as some maps, and a camera does not wait
+REST = 120  # frames between two solves, at least: a solve costs as much as some maps
 
 
 class StrainWatch:
     """Guard W112 over frames. Strain is linear in the load: maps of one shape need one solve.
 
-    Presses far below the linear range need none: by the ratio of another shape they are below a third of it.
+    Presses far below the linear range need none: by the ratio of another shape they are below a third of it. A loop
+    that no frame may hold up has its solves done `beside` it: W112 comes some frames after the press that it is of.
     """
 
     def __init__(self, pad: Pad) -> None:
-        self.pad = pad
+        self.pad, self.beside = pad, False
         self._last = 0.0, 0.0, REST  # peak and ratio of the last solve, frames since: one value, for threads
+        self._found: tuple[float, float] | None = None  # peak and ratio of a solve beside the loop
 
     def check(self, forces: Array) -> Flag | None:
         """W112 of nodal forces (P, 3) in N, if the pad is strained beyond the linear range."""
         peak = float(np.abs(forces).max(initial=0.0))
         if peak == 0:
             return None
-        known, ratio, rested = self._last
+        (known, ratio, rested), found = self._last, self._found
+        if found is not None:
+            (known, ratio), self._found = found, None
         rested += 1
         other = not known / LIKE < peak < known * LIKE
         near = ratio == 0 or GROWN * ratio * peak > LINEAR
         if near and ((other and rested > REST) or peak > GROWN * known):
-            known, ratio, rested = peak, float(np.abs(self.pad.strain(forces)).max()) / peak, 0
+            known, rested = peak, 0
+            if self.beside and ratio:
+                threading.Thread(target=self._find, args=(np.array(forces), peak), daemon=True).start()
+            else:
+                ratio = self._ratio(forces, peak)
         self._last = known, ratio, rested
         return large_strain(ratio * peak)
+
+    def _ratio(self, forces: Array, peak: float) -> float:
+        return float(np.abs(self.pad.strain(forces)).max()) / peak
+
+    def _find(self, forces: Array, peak: float) -> None:
+        self._found = peak, self._ratio(forces, peak)
 
 
 RULES = ("upre", "gcv")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
@@ -45,3 +48,21 @@ def test_a_frame_of_noise_does_not_speak_for_the_press() -> None:
 def test_sensors_say_it() -> None:
     assert "W112" in sensor().estimate(motion(1)).codes  # a newton on a soft pad: 0.4 mm of motion in 3 mm
     assert "W112" not in sensor().estimate(0.1 * motion(1)).codes
+
+
+def test_a_loop_does_not_wait_for_a_solve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a loop a solve takes its time; when it is done, W112 has its strain."""
+    watch, before, free = StrainWatch(pad()), type(pad()).strain, threading.Event()
+    press = np.roll(nodal(), 7, axis=0)
+    strain = np.abs(pad().strain(press)).max()
+    press, strain = press * 0.2 / strain, 0.2
+    assert watch.check(1e-3 * nodal()) is None  # the first is waited for
+    watch.beside = True
+    monkeypatch.setattr(type(pad()), "strain", lambda self, forces: free.wait(30) and before(self, forces))
+    first = watch.check(press)  # by the shape of the other, at once
+    assert first is None or first.evidence.value != pytest.approx(strain, rel=1e-9)
+    free.set()
+    until = time.monotonic() + 30
+    while (found := watch.check(press)) is None or found.evidence.value != pytest.approx(strain, rel=1e-9):
+        assert time.monotonic() < until
+        time.sleep(0.01)
