@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import solve_triangular
 
 from structures.errors import positive
 
@@ -283,10 +283,7 @@ class ImageFit:
         _ = self._made, self._alike
 
     def _fitted(self, near: Index) -> _Told:
-        """What tells the motion beside loads on some hats of the lattice.
-
-        An identity lies under singular values of `SEEN` at most, so that their squares cost no digits that count.
-        """
+        """What tells the motion beside loads on some hats of the lattice."""
         std = self.motion.std
         unknown = [self.moved * std]
         if near.size:
@@ -297,8 +294,9 @@ class ImageFit:
             free = min(FREE / (self.inverse.lam * self.inverse.scale), SEEN / largest)
             unknown += [free * one for part in made for one in part]
         A = np.hstack(unknown)
-        factor = cho_factor(A.T @ A + np.eye(A.shape[1]), lower=True, overwrite_a=True, check_finite=False)
-        back = cho_solve(factor, np.eye(A.shape[1], len(std)), check_finite=False).T * std[:, None]
+        R = np.linalg.qr(np.vstack([A, np.eye(A.shape[1])]), mode="r")
+        back = solve_triangular(R, np.eye(len(R), len(std)), trans="T", check_finite=False)
+        back = solve_triangular(R, back, check_finite=False).T * std[:, None]
         rows = back @ A.T
         gel = [(rows / self.problem.noise) @ e.change for e in self.problem.errors() if not e.of_mesh]
         errors = np.array(gel).reshape(-1, len(std), self.problem.H.shape[1])

@@ -57,7 +57,7 @@ def test_models_are_arrays(run, model, tmp_path):
     np.testing.assert_allclose(found.K.toarray(), beam.K.toarray(), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "code"), [("o.xlsx", 3), ("o", 2), ("hit0.csv", 3)])
+@pytest.mark.parametrize(("name", "code"), [("o.xlsx", 3), ("o", 3), ("hit0.csv", 3)])
 def test_what_is_not_written(run, logs, tmp_path, name, code):
     before = sorted(p.name for p in tmp_path.iterdir())
     found, out, err = run("convert", logs[0], "-o", tmp_path / name)
