@@ -83,8 +83,8 @@ def _of_samples(given: Noise, model: Model, data: Data) -> NoiseLevel:
     found = noise_std(data.record.select([c.label for c in data.channels]))
     if found is not None and np.all(found[0] > 0):
         return NoiseLevel(found[0], True, found[1])
-    moved = np.where(data.missing, data.values[0], data.values) != data.values[0]
-    dead = ~np.any(moved, axis=0)
+    recorded = np.where(data.missing, np.nan, data.values)
+    dead = np.nanmax(recorded, axis=0) == np.nanmin(recorded, axis=0)
     if np.any(dead) and len(data.values) > 1 and (not np.all(dead) or not np.any(data.values)):
         raise InputError(
             "a channel is the same throughout",

@@ -58,19 +58,19 @@ class EvidentPlace:
         spacing : float
         """
         size, std = self.place.size, ANYWHERE * spacing
-        ahead = self.place + STEP * std <= box[:, 1]
+        sense = np.where(self.place + STEP * std <= box[:, 1], 1.0, -1.0)  # of a step that stays in the box
 
         def moved(at: Array) -> WhitenedRecord:
             if errors is not None and not at[:size].any():
                 return errors.record(at[size:])
-            step = at[:size].reshape(self.place.shape)
-            return record(self.place + np.where(ahead, step, -step))
+            return record(self.place + sense * at[:size].reshape(self.place.shape))
 
         none: tuple[tuple[str, ...], list[Array]] = ((), [])
         names, known = none if errors is None else (errors.names, [errors.covariance])
         every = Nuisances((*("place",) * size, *names), block_diag(std**2 * np.eye(size), *known), moved)
         told = errors_told(self.prior, every)
-        inside, step = told.covariance[:size, :size], told.step[:size]
+        turned = sense.ravel()
+        inside, step = turned[:, None] * told.covariance[:size, :size] * turned, turned * told.step[:size]
         seen = np.diag(inside) < (1 - FLAT) * std**2
         full = np.where(seen[:, None] & seen, inside + np.outer(step, step), 0.0)
         full[~seen, ~seen] = np.inf
@@ -101,20 +101,25 @@ def evident_place(
     if not prior.asked_for:
         return None
 
+    memory = prior.memory
+
+    def heard(at: Array) -> WhitenedRecord:
+        return with_memory(record(at), memory)
+
     def learned(old: Fit, at: Array) -> Fit:
-        fit = old.on(with_memory(record(at), prior.memory))
+        fit = old.on(heard(at))
         fit.climb(UPDATES, missing=fit.misfit2 > 0)
         return fit
 
     tried = [(learned(prior.fit, at), at) for at in starts]
     fit, place = max(tried, key=lambda one: one[0].evidence)
     for _ in range(TURNS):
-        before, place = place, _moved(fit, lambda at: with_memory(record(at), prior.memory), place, box, spacing)
+        before, place = place, _moved(fit, heard, place, box, spacing)
         fit = learned(fit, place)
         if np.abs(place - before).max() < TOLERANCE * spacing:
             break
     prior = with_misfit(replace(prior, fit=fit, record=fit.record))
-    place = _moved(prior.fit, lambda at: with_memory(record(at), prior.memory), place, box, spacing)
+    place = _moved(prior.fit, heard, place, box, spacing)
     fit = learned(prior.fit, place)
     prior = replace(prior, fit=fit, record=fit.record, given=fit.variances(), noise=fit.r)
     return EvidentPlace(place, bool(np.any((place <= box[:, 0]) | (place >= box[:, 1]))), prior)

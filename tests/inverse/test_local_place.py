@@ -10,7 +10,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from loadid import LocationSearch, Search
 from loadid._inverse.gaussian.record import augment, measured
-from loadid._inverse.local_place import evident_place
+from loadid._inverse.local_place import EvidentPlace, evident_place
+from loadid._inverse.local_prior import local_prior
 from loadid._inverse.nuisances import Nuisances
 from loadid.paths import toeplitz
 from structures import loads, sensors
@@ -80,6 +81,24 @@ def test_the_band_is_that_of_dense_algebra():
     errors = Nuisances(("g1", "g2", "g3"), GAIN**2 * np.eye(3), lambda at: records(y, at)(found.place))
     covariance = found.covariance(records(y), errors, BOX, SPACING)
     assert covariance[0, 0, 0] == pytest.approx(dense(found, y), rel=0.02)
+
+
+def test_the_band_at_the_rim_is_that_inside():
+    """A place on the upper bound is moved down: its covariance with the other coordinate keeps its sign."""
+    y = struck(0)
+
+    def record(at):
+        x, s = np.ravel(at)
+        seen = [sensors.Accelerometer(at=float(place)) for place in (s, *SEEN[1:])]
+        one = user(seen, [loads.Point(at=float(x))], modes=5).state_space(DT, "foh")
+        return measured(augment(one.A, one.B, one.C, one.D), y, LEVEL * y.std(axis=0))
+
+    place = np.array([[PLACE, SEEN[0]]])
+    found = EvidentPlace(place, False, local_prior(record(place), stated=True))
+    inside, rim = (found.covariance(record, None, np.array([[0.08, top], [0.08, 0.49]]), SPACING)[0]
+                   for top in (0.49, PLACE))  # fmt: skip
+    assert abs(inside[0, 1]) > 0.1 * np.sqrt(inside[0, 0] * inside[1, 1])
+    np.testing.assert_allclose(rim, inside, rtol=0.05)
 
 
 def test_places_scatter_as_their_band_says():
