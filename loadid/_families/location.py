@@ -281,11 +281,13 @@ class LocationSearch:
         )  # fmt: skip
         return [first, *others]
 
-    def _hit(self, posed: LocationProblem, grid: Grid, winner: places.Refined, others: list[Solution]) -> Placed | None:
-        """Where the evidence puts hits; None where the record asks for none."""
+    def _hit(
+        self, posed: LocationProblem, grid: Grid, winner: places.Refined, others: list[Solution], left: float | None
+    ) -> Placed | None:
+        """Where the evidence puts hits, from what the winner leaves over the noise; None where none are asked for."""
         self._progress(0.9, "places of hits by their evidence")
         rivals = [(load, one.place[load]) for one, _, load in others if one is not winner]
-        return by_evidence(posed, grid, winner.place, rivals, self.noise.errors or {}, self.hold)
+        return by_evidence(posed, grid, winner.place, left, rivals, self.noise.errors or {}, self.hold)
 
     # -- saying -------------------------------------------------------------------------------------------------------
     def _result(
@@ -301,7 +303,7 @@ class LocationSearch:
             winner = min((s[0] for s in solutions), key=lambda r: r.fitted.residual2)
             residual2, at, edge = winner.fitted.residual2, winner.place, winner.edge
             sigma = noise_level(posed, residual2, chosen)
-            hit = self._hit(posed, grid, winner, solutions)
+            hit = self._hit(posed, grid, winner, solutions, _over_noise(residual2, posed))
             if hit is None:
                 gain = {**ASSUMED, **(self.noise.errors or {})}["gain"]
                 spread = winner.covariance(shared(sigma, posed.sigma), gain)
@@ -313,9 +315,10 @@ class LocationSearch:
             best = tuple(int(np.argmin(np.linalg.norm(grid.places - p, axis=1))) for p in found)
             covariance = np.zeros((len(found), *[found.shape[1]] * 2))
             covariance[np.ix_(np.arange(len(found)), grid.used, grid.used)] = spread
-            rivals = rivals_of(solutions, at, residual2, grid)
+            told = None if hit is None else hit.rivals
+            rivals = rivals_of(solutions, at, residual2, grid) if told is None else told
         posed = replace(posed, at=at)
-        level = None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
+        level = _over_noise(residual2, posed)
         exact = chosen.fitted.exact and all(s[0].fitted.exact for s in solutions)
         facts = LocationFacts(
             path=posed.fits[0].name, m=int(posed.y.size), n=len(posed.y) * len(best),
@@ -323,7 +326,7 @@ class LocationSearch:
             noise_level=sigma, **posed.noise.source.facts, candidates=len(self.model.loads),
             sensors=len(posed.data.rows), exact=bool(exact), ratio=verdict.ratio,
             responses=posed.candidates.how if solutions else "candidates only",
-            place_by="candidates" if not solutions else "residual" if hit is None else "evidence of hits",
+            place_by="candidates" if not solutions else "residual" if hit is None else hit.by,
         )  # fmt: skip
         result = LocationResult(
             labels=[c.label for c in self.model.loads],
@@ -345,7 +348,7 @@ class LocationSearch:
             facts=facts,
             provenance=self._provenance(posed),
         )
-        return replace(result, flags=self._flags(posed, result, verdict, edge)), posed
+        return replace(result, flags=self._flags(posed, result, verdict, hit, edge)), posed
 
     def _plausible(self, scores: Array, sigma: float) -> list[str]:
         from scipy.stats import chi2
@@ -355,7 +358,7 @@ class LocationSearch:
         return [self.model.loads[j].label for j in within[np.argsort(scores[within], kind="stable")]]
 
     def _flags(
-        self, posed: LocationProblem, result: LocationResult, verdict: CandidateVerdict, edge: bool
+        self, posed: LocationProblem, result: LocationResult, verdict: CandidateVerdict, hit: Placed | None, edge: bool
     ) -> tuple[Flag, ...]:
         where, names = result.where, result.labels
         found: list[Flag | None] = [found_flags.alike_allowed(posed.groups, fits.ALIKE)] if posed.groups else []
@@ -377,7 +380,9 @@ class LocationSearch:
             [
                 found_flags.few_sensors(len(data.rows), len(result.best)),
                 found_flags.biased(self.choice),
-                found_flags.place_unexplained(result.facts.residual_to_noise, result.residual),
+                found_flags.place_unexplained(
+                    result.facts.residual_to_noise, result.residual, None if hit is None else hit.misfit
+                ),
                 *found,
                 *model.flags,
                 guards.not_verified(model.certificate),
@@ -409,6 +414,11 @@ class LocationSearch:
             model=self.model.fingerprint,
             prior="a load of zero mean and constant variance, white in time; any candidate alike",
         )  # fmt: skip
+
+
+def _over_noise(residual2: float, posed: LocationProblem) -> float | None:
+    """Residual over the noise, where that is known."""
+    return None if posed.sigma is None else float(np.sqrt(residual2 / posed.y.size)) / posed.sigma
 
 
 def _own(flags: Sequence[Flag]) -> tuple[Flag, ...]:

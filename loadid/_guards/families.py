@@ -213,6 +213,7 @@ def no_spare_data(known: bool, spare: int) -> Flag | None:
 AMBIGUOUS = 1.05  # runner-up over best: all misses of 1520 simulated searches lay below 1.045
 COARSE = 0.03  # relative lambda above which residuals measure bias: misses with ratios above 1.05 were seen from there
 LOUD, LARGE = 3.0, 0.1  # residual over noise, and over data, from which on no candidate explains the data
+LARGE_EARLY = 0.15  # error of the model over the first part of the response, from which on none does
 CERTAIN = 1.96  # half-width of the 95 % band in standard deviations
 
 
@@ -251,10 +252,14 @@ def at_the_rim(found: str) -> Flag:
     )
 
 
-def place_unexplained(to_noise: float | None, residual: float) -> Flag | None:
-    """W511: no place explains the data: the load acts beyond the candidates, or the model is wrong."""
-    if to_noise is None or to_noise <= LOUD or residual <= LARGE:
+def place_unexplained(to_noise: float | None, residual: float, early: float | None) -> Flag | None:
+    """W511: no place explains the data: the load acts beyond the candidates, or the model is wrong.
+
+    Where the first part of the response told the place, what is left of that (`early`) counts.
+    """
+    if to_noise is None or to_noise <= LOUD or residual <= LARGE or (early is not None and early <= LARGE_EARLY):
         return None
+    residual = residual if early is None else early
     return Flag(
         "W511",
         Evidence("residual over noise", float(to_noise), LOUD),

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from .ascent import highest
 from .gaussian.local_variance import smoothed
 from .gaussian.record import WhitenedRecord
 from .local_prior import Fit, LocalPrior, errors_told, local_prior, with_memory, with_misfit
@@ -24,8 +25,8 @@ from .nuisances import STEP, Nuisances
 Array = NDArray[np.float64]
 RecordAt = Callable[[Array], WhitenedRecord]
 TURNS, UPDATES = 4, 4  # of variances and place at most; of the variances at a place that is tried
-REACH = 0.2  # of a spacing, of the first steps
-TOLERANCE, FLAT = 1e-4, 1e-3  # of a spacing, and of the evidence, below which a step is the last
+SETTLED = 1e-4  # of a spacing, below which a turn is the last
+UNTOLD = 1e-3  # share of the variance of a place, below which the data tell nothing
 ANYWHERE = 10.0  # spacings: std of a place before the data
 
 
@@ -71,7 +72,7 @@ class EvidentPlace:
         told = errors_told(self.prior, every)
         turned = sense.ravel()
         inside, step = turned[:, None] * told.covariance[:size, :size] * turned, turned * told.step[:size]
-        seen = np.diag(inside) < (1 - FLAT) * std**2
+        seen = np.diag(inside) < (1 - UNTOLD) * std**2
         full = np.where(seen[:, None] & seen, inside + np.outer(step, step), 0.0)
         full[~seen, ~seen] = np.inf
         loads, dim = self.place.shape
@@ -80,7 +81,7 @@ class EvidentPlace:
 
 
 def evident_place(
-    starts: Sequence[Array], record: RecordAt, box: Array, spacing: float, *, stated: bool
+    starts: Sequence[Array], record: RecordAt, box: Array, spacing: float, *, stated: bool, early: bool = False
 ) -> EvidentPlace | None:
     """Find the places whose evidence is the largest; None where the record does not ask for a load that rests.
 
@@ -96,9 +97,11 @@ def evident_place(
         Of the candidates.
     stated : bool
         The noise is stated.
+    early : bool
+        The record ends soon after the hit: what the model leaves of it, which is not white, does not count.
     """
     prior = local_prior(record(starts[0]), stated=stated)
-    if not prior.asked_for:
+    if not (prior.pulses if early else prior.asked_for):
         return None
 
     memory = prior.memory
@@ -116,7 +119,7 @@ def evident_place(
     for _ in range(TURNS):
         before, place = place, _moved(fit, heard, place, box, spacing)
         fit = learned(fit, place)
-        if np.abs(place - before).max() < TOLERANCE * spacing:
+        if np.abs(place - before).max() < SETTLED * spacing:
             break
     prior = with_misfit(replace(prior, fit=fit, record=fit.record))
     place = _moved(prior.fit, heard, place, box, spacing)
@@ -127,15 +130,9 @@ def evident_place(
 
 def _moved(fit: Fit, record: RecordAt, place: Array, box: Array, spacing: float) -> Array:
     """The place of the largest evidence under variances that stay."""
-    from scipy.optimize import minimize
+    given = fit.variances()
 
-    given, bounds, flat = fit.variances(), np.tile(box, (len(place), 1)), place.ravel()
+    def evidence(at: Array) -> float:
+        return smoothed(record(at.reshape(place.shape)), given).evidence
 
-    def cost(at: Array) -> float:
-        return -smoothed(record(at.reshape(place.shape)), given).evidence
-
-    step = np.where(flat + REACH * spacing <= bounds[:, 1], REACH, -REACH) * spacing
-    found = minimize(cost, flat, method="Nelder-Mead", bounds=bounds,
-                     options={"initial_simplex": np.vstack([flat, flat + np.diag(step)]),
-                              "xatol": TOLERANCE * spacing, "fatol": FLAT})  # fmt: skip
-    return np.asarray(found.x).reshape(place.shape)
+    return highest(evidence, place.ravel(), np.tile(box, (len(place), 1)), spacing)[1].reshape(place.shape)

@@ -173,11 +173,11 @@ class CandidateLoads:
             return False
         return bool(np.abs(own[..., 0] - self.h[..., 0]).max() <= SAME * np.abs(self.h[..., 0]).max())
 
-    def responses(self, places: Array) -> Array:
-        """Impulse responses (samples, sensors, n) of loads at places (n, used coordinates)."""
+    def responses(self, places: Array, samples: int | None = None) -> Array:
+        """Impulse responses (samples, sensors, n) of loads at places (n, used coordinates), or the first of them."""
         if self.how == "moved":
-            return self._moved(places)
-        return np.asarray(np.einsum("ksc,nc->ksn", self.h, self._weights(places)))
+            return self._moved(places, samples)
+        return np.asarray(np.einsum("ksc,nc->ksn", self.h[:samples], self._weights(places)))
 
     def at(self, places: Array) -> Model:
         """The model under loads at places (n, used coordinates)."""
@@ -224,8 +224,9 @@ class CandidateLoads:
             made = [replace(c, label=f"{c.label} #{i}") for i, c in enumerate(made)]
         return made
 
-    def _moved(self, places: Array) -> Array:
-        return self.model.with_loads(self._loads(places)).impulse_response(self.dt, self.samples, self.hold)
+    def _moved(self, places: Array, samples: int | None = None) -> Array:
+        moved = self.model.with_loads(self._loads(places))
+        return moved.impulse_response(self.dt, samples or self.samples, self.hold)
 
     def _weights(self, places: Array) -> Array:
         """Weights (n, candidates) of a radial basis interpolation over the candidates."""
@@ -298,9 +299,9 @@ class LocationProblem:
         lam = np.array([float(self.fits[j].lam[0]) for j in indices])
         return self.fit(self.h[:, :, list(indices)], lam)
 
-    def whitened(self, places: Array) -> Array:
-        """Whitened responses (samples, sensors, n) of loads at places."""
-        return whiten(self.candidates.responses(places)[:, self.data.rows], self.relative, axis=1)
+    def whitened(self, places: Array, samples: int | None = None) -> Array:
+        """Whitened responses (samples, sensors, n) of loads at places, or the first samples of them."""
+        return whiten(self.candidates.responses(places, samples)[:, self.data.rows], self.relative, axis=1)
 
 
 Solution = tuple[Refined, str, int]  # refined place, candidate from which it started, load that was moved

@@ -1,0 +1,34 @@
+"""Where an evidence over places is the largest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+REACH = 0.2  # of a spacing, of the first steps
+TOLERANCE, FLAT = 1e-4, 1e-3  # of a spacing, and of the evidence, below which a step is the last
+
+
+def highest(evidence: Callable[[Array], float], start: Array, box: Array, spacing: float) -> tuple[float, Array]:
+    """The largest evidence near a start, and where it is: J. Nelder & R. Mead, Comput. J. 7 (1965) 308.
+
+    Parameters
+    ----------
+    evidence : callable
+        Of a point (n,).
+    start : array, shape (n,)
+    box : array, shape (n, 2)
+        Bounds.
+    spacing : float
+        Length of the coordinates.
+    """
+    from scipy.optimize import minimize
+
+    step = np.where(start + REACH * spacing <= box[:, 1], REACH, -REACH) * spacing
+    found = minimize(lambda at: -evidence(at), start, method="Nelder-Mead", bounds=box,
+                     options={"initial_simplex": np.vstack([start, start + np.diag(step)]),
+                              "xatol": TOLERANCE * spacing, "fatol": FLAT})  # fmt: skip
+    return -float(found.fun), np.asarray(found.x)
