@@ -38,7 +38,7 @@ from ..settings import Guards, Noise, Penalty, Signal
 from .data import Readings, gather, readings
 from .deconvolution import Deconvolution
 from .frequency import FrequencyInversion
-from .local_variance import LONGEST
+from .posing.paths import LONGEST
 from .static import StaticInversion
 
 Array = NDArray[np.float64]

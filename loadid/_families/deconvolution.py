@@ -40,6 +40,7 @@ from .histories import half_width, kurtosis, push, signs
 from .noise import noise_level
 from .offsets import Settled, settled, without_offsets
 from .posing import UNUSABLE, Posed, PosingSettings, diagonal, on_states, pose
+from .posing.paths import LONGEST
 
 PROCESS = (
     "a load of zero mean and constant variance, white in time",
@@ -187,7 +188,7 @@ class Deconvolution:
             choice, posed = local_variance.unasked(choice, local), local.posed
         elif self.settings.unasked and posed.gains is not None:
             found = local_variance.widened_by_gains(found, posed, choice)
-        elif self.settings.unasked and len(found.load) <= local_variance.LONGEST:
+        elif self.settings.unasked and len(found.load) <= LONGEST:
             found = local_variance.widened(found, states(), choice)
         found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")

@@ -28,6 +28,7 @@ from .._results.facts import Facts
 from .answer import SolvedLoad, beyond_noise
 from .histories import half_width
 from .posing import Posed, PosingSettings
+from .posing.paths import LONGEST
 
 Array = NDArray[Any]
 
@@ -37,7 +38,6 @@ WINDOW = 9  # samples over which the energy of the load is averaged
 IMPACTS = 0.4  # such a spread beyond which no impacts are sought
 THROUGHOUT = "the load acts throughout"
 WIDER = 0.01  # of lambda
-LONGEST = 8192  # samples over states
 GROSS = 0.3  # share of its response that the residual of a sensor has where a noisy one cannot be told from a wrong one
 FAIR = 0.03  # share of the response that no known error makes, up to which the band of what was learned held
 EITHER = 0.5  # odds of another prior than that of the penalty

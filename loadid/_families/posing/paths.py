@@ -40,6 +40,7 @@ from .support import gated
 Array = NDArray[Any]
 
 MOST = 64  # states up to which small matrices are quick
+LONGEST = 8192  # samples over states whose variances are learned
 WHOLE_STATES = 4096  # samples beyond which lambda is sought on windows of the record first
 TAPS = 4096  # samples of the impulse response that guards look at
 

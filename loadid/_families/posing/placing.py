@@ -17,10 +17,9 @@ from ..._inverse.local_prior import UNKNOWN
 from ..._results.location import Rival
 from .locating import NEAR, Grid, LocationProblem
 from .model_errors import nuisances
-from .paths import MOST, state_space_of
+from .paths import LONGEST, MOST, state_space_of
 
 Array = NDArray[np.float64]
-LONGEST = 8192  # samples over states
 BESIDE = (-1.0, -0.5, 0.5, 1.0)  # spacings from the best, of further starts
 
 
