@@ -62,7 +62,8 @@ class LocationSearch:
     same lambda over the largest singular value of its own operator; the smallest residual wins. Between candidates the
     place is refined by Gauss-Newton steps, the history eliminated, with responses of the model at the very place where
     it can move its loads, else interpolated over the grid. Hits, which a model with states tells, are put where the
-    evidence of loads that rest before and after is the largest. A family then rebuilds the load there.
+    evidence of loads that rest before and after is the largest; a single one whose record the model does not explain,
+    by the part about its onset, where errors of frequencies tell least. A family then rebuilds the load there.
 
     Parameters
     ----------

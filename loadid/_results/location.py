@@ -64,7 +64,7 @@ class LocationFacts(Facts):
     ratio : float
         Residual norm of the runner-up over that of the best.
     place_by : str
-        What told the place between candidates: the residual, or the evidence of hits.
+        What told the place between candidates: the residual, the evidence of hits, or the first part of the response.
     """
 
     candidates: int | None = fact()
