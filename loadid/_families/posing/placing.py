@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from structures._models.statespace import StateSpace
 
-from ..._inverse.convolved.early import AFTER, EarlyResponse, early_places, early_response
+from ..._inverse.convolved.early import EarlyResponse, early_places, early_response
 from ..._inverse.gaussian.record import WhitenedRecord, augment, measured
 from ..._inverse.local_place import EvidentPlace, evident_place
 from ..._inverse.local_prior import UNKNOWN
@@ -52,78 +52,74 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class HitProblem:
-    """A record whose loads may be moved, over the states of the model.
+    """A part of a record whose loads may be moved, over the states of the model; everything rests before it.
 
     Parameters
     ----------
     posed : LocationProblem
     grid : Grid
     hold : str or None
+    part : slice
+        Its samples.
+    stated : bool
+        The noise is stated.
     """
 
     posed: LocationProblem
     grid: Grid
     hold: str | None
+    part: slice
+    stated: bool
 
     @property
     def box(self) -> Array:
         """Bounds of the places, (used coordinates, 2)."""
         return np.stack(self.grid.bounds, axis=1)
 
-    def system(self, at: Array) -> StateSpace | None:
-        """State space with loads at places."""
-        return state_space_of(self.posed.candidates.at(at), self.posed.data.dt, self.hold)
+    def possible(self, at: Array) -> bool:
+        """Whether the model has few enough states for these samples; they do not change with time."""
+        if not self.posed.candidates.at(at).gives("state_space"):
+            return False
+        system, samples = self._system(at), self.part.stop - self.part.start
+        return system is not None and not system.moving and samples * len(system.A) ** 2 <= LONGEST * MOST**2
 
-    def over(self, samples: int) -> Callable[[StateSpace, Array], WhitenedRecord]:
-        """State space and factors of its sensors -> the record over its first samples."""
-        data, level = self.posed.data, self.posed.noise.level
-
-        def heard(one: StateSpace, factors: Array) -> WhitenedRecord:
-            rows, scale = data.rows, factors[:, None]
-            augmented = augment(one.A, one.B, one.C[rows] * scale, one.D[rows] * scale)
-            return measured(augmented, data.values[:samples], level)
-
-        return heard
-
-    def found(self, starts: Sequence[Array], samples: int, *, early: bool) -> EvidentPlace | None:
+    def found(self, starts: Sequence[Array], *, early: bool) -> EvidentPlace | None:
         """The places of the largest evidence, from clipped starts."""
         clipped = [np.clip(one, *self.box.T) for one in starts]
-        record, stated = self._record(samples), self.posed.noise.known and not early
-        return evident_place(clipped, record, self.box, self.grid.spacing, stated=stated, early=early)
+        return evident_place(clipped, self._record, self.box, self.grid.spacing, stated=self.stated, early=early)
 
-    def placed(self, best: EvidentPlace, samples: int, stated: Mapping[str, float]) -> tuple[Array, Array, bool]:
-        """Places, second moments with errors of the model, and whether one is on the rim."""
-        model, there = self.posed.candidates.at(best.place), self.system(best.place)
+    def placed(self, best: EvidentPlace, errors: Mapping[str, float]) -> Placed:
+        """With second moments that hold errors of the model, of relative std as stated."""
+        model, there = self.posed.candidates.at(best.place), self._system(best.place)
         assert there is not None
-        wrong = nuisances(model, there, self.posed.data.rows, stated, True, self.over(samples))
-        return best.place, best.covariance(self._record(samples), wrong, self.box, self.grid.spacing), best.edge
+        wrong = nuisances(model, there, self.posed.data.rows, errors, True, self._heard)
+        spread = best.covariance(self._record, wrong, self.box, self.grid.spacing)
+        return Placed(best.place, spread, best.edge, "evidence of hits")
 
-    def early(self) -> tuple[EarlyResponse, list[tuple[float, Array]]] | None:
-        """The data about the onset, and the places of one load that they tell; None where nothing begins."""
-        posed, grid = self.posed, self.grid
-        early = early_response(posed.y, None if posed.sigma is None else posed.sigma**2)
-        if early is None:
-            return None
-        return early, early_places(early, grid.places[:, grid.used], posed.h, posed.whitened, self.box, grid.spacing)
+    def _system(self, at: Array) -> StateSpace | None:
+        """With loads at places."""
+        return state_space_of(self.posed.candidates.at(at), self.posed.data.dt, self.hold)
 
-    def _record(self, samples: int) -> Callable[[Array], WhitenedRecord]:
-        heard, ones = self.over(samples), np.ones(len(self.posed.data.rows))
+    def _heard(self, system: StateSpace, factors: Array) -> WhitenedRecord:
+        """The record over a state space with factors of its sensors."""
+        data, scale = self.posed.data, factors[:, None]
+        C, D = system.C[data.rows] * scale, system.D[data.rows] * scale
+        return measured(augment(system.A, system.B, C, D), data.values[self.part], self.posed.noise.level)
 
-        def record(at: Array) -> WhitenedRecord:
-            moved = self.system(at)
-            assert moved is not None
-            return heard(moved, ones)
-
-        return record
+    def _record(self, at: Array) -> WhitenedRecord:
+        moved = self._system(at)
+        assert moved is not None
+        return self._heard(moved, np.ones(len(self.posed.data.rows)))
 
 
 def by_evidence(
     posed: LocationProblem, grid: Grid, found: Array, residual_to_noise: float | None,
-    rivals: Sequence[tuple[int, Array]], stated: Mapping[str, float], hold: str | None,
+    rivals: Sequence[tuple[int, Array]], errors: Mapping[str, float], hold: str | None,
 ) -> Placed | None:  # fmt: skip
     """Places of hits from those found by residuals; None where the record asks for no hits, or the model has no states.
 
-    Where errors of the model hide a single hit in the whole record, the first part of its response places it.
+    Where errors of the model hide a single hit in the whole record, or that is too long, the first part of its response
+    places it.
 
     Parameters
     ----------
@@ -134,31 +130,28 @@ def by_evidence(
         Of the places found.
     rivals : sequence of (load, place)
         Other places of single loads.
-    stated : mapping of str to float
+    errors : mapping of str to float
         Relative std of errors of the model.
     hold : str or None
     """
-    problem, samples = HitProblem(posed, grid, hold), len(posed.data.values)
-    if samples > LONGEST or not posed.candidates.at(found).gives("state_space"):
-        return None
-    system = problem.system(found)
-    if system is None or system.moving or len(system.A) > MOST:
-        return None
+    whole = HitProblem(posed, grid, hold, slice(0, len(posed.data.values)), posed.noise.known)
+    possible, early, told = whole.possible(found), None, []
     wrong = residual_to_noise is None or residual_to_noise > NEAR
-    first = problem.early() if wrong and len(found) == 1 else None
-    starts = list(_starts(found, grid.spacing, rivals))
-    if first is not None:
-        starts = [*(place[None] for _, place in first[1]), *starts]
-    best = problem.found(starts, samples, early=False)
-    if first is not None and (best is None or best.prior.misfit > UNKNOWN):
-        early, told = first
-        samples = early.onset + AFTER
-        sooner = problem.found([place[None] for _, place in told], samples, early=True)
+    if len(found) == 1 and (wrong or not possible):
+        early = early_response(posed.y, None if posed.sigma is None else posed.sigma**2)
+    near = None if early is None else replace(whole, part=early.part, stated=False)
+    if early is not None and near is not None and near.possible(found):
+        places = grid.places[:, grid.used]
+        told = early_places(early, places, posed.h, posed.whitened, whole.box, grid.spacing)
+    starts = [place[None] for _, place in told]
+    best = whole.found([*starts, *_starts(found, grid.spacing, rivals)], early=False) if possible else None
+    if early is not None and near is not None and told and (best is None or best.prior.misfit > UNKNOWN):
+        sooner = near.found(starts, early=True)
         if sooner is not None:
             beside = _rivals(posed, early, told, sooner.place, grid)
-            told_by = "first part of its response", beside, sooner.prior.misfit
-            return Placed(*problem.placed(sooner, samples, stated), *told_by)
-    return None if best is None else Placed(*problem.placed(best, samples, stated), "evidence of hits")
+            return replace(near.placed(sooner, errors), by="first part of its response", rivals=beside,
+                           misfit=sooner.prior.misfit)  # fmt: skip
+    return None if best is None else whole.placed(best, errors)
 
 
 def _rivals(

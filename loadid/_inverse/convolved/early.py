@@ -20,6 +20,7 @@ from ..problem import toeplitz
 
 Array = NDArray[np.float64]
 BEFORE, AFTER = 10, 32  # samples about the onset that are used
+REST = 128  # samples before the onset that show that everything rested
 SMOOTH = 4  # samples over which the energy is averaged to find the onset
 LOUD, QUIET = 0.02, 6.0  # of the largest energy, and times that of the noise: an onset is above both
 CALM = 64  # samples whose least mean energy is that of a noise that is not known
@@ -50,6 +51,11 @@ class EarlyResponse:
     y: Array
     noise: Array
     power: Array
+
+    @property
+    def part(self) -> slice:
+        """Samples of the record from rest to the end of the data."""
+        return slice(max(self.onset - REST, 0), self.onset + AFTER)
 
     def evidence(self, h: Array) -> float:
         """Log likelihood of the data by a load with these impulse responses (n, sensors), up to a constant."""
