@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 
 KINDS = ("beam", "plate", "frame", "import")
 ENDS = ("cantilever", "simply_supported", "clamped", "free")
+PAIRS = {
+    "clamped free": "cantilever",
+    "pinned pinned": "simply_supported",
+    "clamped clamped": "clamped",
+    "free free": "free",
+}  # each end by its own name
+SAME = {"fixed": "clamped", "hinged": "pinned"}
 SENSORS = {"accelerometer": "Accelerometer", "velocity": "Velocity", "displacement": "Displacement",
            "strain": "StrainGauge"}  # fmt: skip
 LOADS = {"point": "Point", "moment": "Moment"}
@@ -199,6 +206,16 @@ def _one_of(word: str, words: Any, name: str, expected: str) -> None:
     if word not in words:
         more = did_you_mean(word, words).removeprefix("; ")
         raise InputError(f"there is no {name} {word!r}", where=f"{WHERE}, {name}", expected=expected, hint=more)
+
+
+def _known_ends(word: Any) -> None:
+    """Refuse ends that there are not; whoever names each of both is told what they are called together."""
+    sides = [SAME.get(side, side) for side in str(word).lower().replace("_", "-").split("-")]
+    if word not in ENDS and len(sides) == 2 and set(sides) <= {"clamped", "pinned", "free"}:
+        both = PAIRS.get(" ".join(sorted(sides)))
+        hint = f"did you mean {both}?" if both else f"structures.beams.beam(left={sides[0]!r}, right={sides[1]!r}, ...)"
+        raise InputError(f"there is no ends {word!r}", where=f"{WHERE}, ends", expected=", ".join(ENDS), hint=hint)
+    _one_of(word, ENDS, "ends", ", ".join(ENDS))
 
 
 # -- the model ---------------------------------------------------------------------------------------------------------
@@ -394,7 +411,7 @@ def _structure(kind: str, settings: Mapping[str, Any], paths: Sequence[str | Pat
         words["damping"] = ratios(settings["damping"])
     if kind == "beam":
         ends = settings.get("ends", "cantilever")
-        _one_of(ends, ENDS, "ends", ", ".join(ENDS))
+        _known_ends(ends)
         beam: Callable[..., Structure] = getattr(beams, ends)
         return _needing(beam, words, ("length",))
     if kind == "plate":

@@ -22,7 +22,7 @@ from structures._testing.modalfit import FrfBand, Poles, fitted
 from structures._testing.modalorder import selected
 from structures._testing.polyreference import stabilisation
 from structures.errors import InputError
-from structures.files._modelfile import load_any
+from structures.files._modelfile import load_model
 
 from ..data import measured
 
@@ -226,7 +226,7 @@ def test_without_a_variance_the_residuals_tell_it():
 def test_a_model_in_a_file_and_changed(found, tmp_path):
     model = found.model()
     model.save(tmp_path / "m.h5")
-    back = load_any(tmp_path / "m.h5")
+    back = load_model(tmp_path / "m.h5")
     assert isinstance(back, ModalModel)
     assert back.fingerprint == model.fingerprint
     np.testing.assert_array_equal(back.frf(LINES), model.frf(LINES))
