@@ -163,16 +163,18 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
     for name in given:
         _one_of(name, WORDS, f"setting of a {option}", f"a place in x, y or z, direction, label, {', '.join(NUMBERS)}")
     if bare := next((p for p in dofs if p[0].isdigit() and _is_length(p)), None):
+        second = "." in bare and "x" in given  # no decimal comma stands before a number with a point
+        place = f"x={given['x']},y={bare}" if second else f"x={'0.5' if given else bare}"
         raise InputError("a number without its name", where=f"{WHERE}, {option}", found=repr(text),
-                         expected=f"{kind}:x={'0.5' if given else bare} (a place in m), or {kind}:12+Z",
-                         hint="a decimal point, where the comma was one" if given else "")  # fmt: skip
-    place = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
-    if len(dofs) + bool(place) != 1:
+                         expected=f"{kind}:{place} (a place in m), or {kind}:12+Z",
+                         hint="a decimal point, where the comma was one" if given and not second else "")  # fmt: skip
+    at = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
+    if len(dofs) + bool(at) != 1:
         raise InputError("a sensor or a load has one place", where=f"{WHERE}, {option}", found=repr(text),
                          expected=f"{kind}:12+Z (node and direction), or {kind}:x=0.5")  # fmt: skip
     words = {k: (float(size(v, f"{option}, {k}", "rad" if k == "angle" else "m" if k in ("fibre", "length") else "1"))
                  if k in NUMBERS else v) for k, v in given.items()}  # fmt: skip
-    words |= {"at": place[0] if len(place) == 1 else tuple(place)} if place else {}
+    words |= {"at": at[0] if len(at) == 1 else tuple(at)} if at else {}
     made: Callable[..., Any] = getattr(module, known[kind])
     try:
         return made(*dofs, **words)

@@ -479,6 +479,8 @@ MISTAKES = (
     Mistake("density in g/cm^3", beam(*SECTION, "--material", "E=210e9,rho=7.85"), says=("kg/m^3",)),
     Mistake("damping in per cent", beam(*SECTION, *STEEL, "--damping", "2"), says=("0.02 for 2 %",)),
     Mistake("each end named", beam(*SECTION, *STEEL, "--ends", "clamped-free"), says=("did you mean cantilever",)),
+    Mistake("place without y", beam(*SECTION, *STEEL, "--sensor", "displacement:x=0.1,0.3"), says=("x=0.1,y=0.3",),
+            never=("decimal point",)),
     Mistake("place in mm", beam(*SECTION, *STEEL, "--sensor", "displacement:x=300"), says=("outside", "metres")),
     Mistake("full device", typed(), says=("No space left", "space"), patch=full),
     Mistake("read-only folder", lambda at: at.identify(output="/proc/r.h5"), says=("cannot be written",)),
