@@ -313,9 +313,9 @@ def load_model(path: str | Path) -> MeasuredModel | FrfModel | ForwardModel | Mo
     InputError
         If the file is missing, damaged, or no model.
     """
-    from structures.files._modelfile import load_any
+    from structures.files._modelfile import load_model
 
-    return load_any(path)
+    return load_model(path)
 
 
 def resolved(record: Record, channels: Sequence[str | int], *, where: str) -> list[str]:

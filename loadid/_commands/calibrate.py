@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 EXCITATIONS = ("hammer", "shaker", "random")
 ESTIMATORS = ("H1", "H2", "Hv", "Hs")
+OF_HITS = ("gate", "decay")  # windows of hammer hits
 AVERAGING = ("estimator", "window", "segment", "overlap")  # of records that are averaged
 ON_LINES = ("coherence", "band", "frf_error", "interpolate")  # of FRFs on the lines that a shaker excites
 EXAMPLES = """\
@@ -59,6 +60,7 @@ def calibrate(
     between: tuple[float, float] | None = None,
     averaging: Mapping[str, Any] | None = None,
     on_lines: Mapping[str, Any] | None = None,
+    of_hits: Mapping[str, Any] | None = None,
     **reading: Any,
 ) -> MeasuredModel | FrfModel:
     """Model from the hits, or from the shaker records, in some logs.
@@ -81,6 +83,8 @@ def calibrate(
     on_lines : dict, optional
         Of ``"shaker"``: ``coherence``, the least of a line; ``band`` in Hz; ``frf_error``, relative std that is stated
         of the FRF beside the noise which the segments show; ``interpolate`` between the lines.
+    of_hits : dict, optional
+        ``gate`` in s and ``decay`` in 1/s, as for `structures.MeasuredModel.from_hits`.
     **reading
         As for `loadid._readers.read`.
 
@@ -94,13 +98,14 @@ def calibrate(
     if excitation not in EXCITATIONS:
         raise InputError("no such excitation", where="excitation", found=repr(excitation),
                          expected=", ".join(EXCITATIONS))  # fmt: skip
-    averaged, lines = (_given(x) for x in (averaging, on_lines))
-    unused = [*(averaged if excitation == "hammer" else ()), *(lines if excitation != "shaker" else ())]
+    averaged, lines, windows = (_given(x) for x in (averaging, on_lines, of_hits))
+    unused = [*(averaged if excitation == "hammer" else windows), *(lines if excitation != "shaker" else ())]
     if unused:
-        fits = "shaker" if unused[0] in ON_LINES else "shaker or random"
+        fits = "shaker" if unused[0] in ON_LINES else "hammer" if unused[0] in OF_HITS else "shaker or random"
         raise InputError(f"{unused[0]} is no setting of excitation {excitation!r}", where="calibrate",
                          expected=f"excitation {fits}",
-                         hint=Advice("say what moved the structure: ", Option("excitation", "shaker")))  # fmt: skip
+                         hint=Advice("say what moved the structure: ",
+                                     Option("excitation", fits.split()[0])))  # fmt: skip
     forces = [force] if isinstance(force, str) else list(force)
     if excitation == "hammer" and len(forces) > 1:
         raise InputError("one hammer has one force", where="--force", found=", ".join(forces), expected="one channel",
@@ -115,7 +120,7 @@ def calibrate(
     labels = runs[0].labels
     driven, heard = list(labels[: len(forces)]), list(labels[len(forces) :])
     if excitation == "hammer":
-        made: MeasuredModel = structures.MeasuredModel.from_hits(runs, force=driven[0], responses=heard)
+        made: MeasuredModel = structures.MeasuredModel.from_hits(runs, force=driven[0], responses=heard, **windows)
         return made
     if excitation == "random":
         found: MeasuredModel = structures.MeasuredModel.from_random(runs, forces=driven, responses=heard, **averaged)
@@ -225,6 +230,14 @@ def _share(text: str) -> float:
     return number(text, "share: 0 <= SHARE < 1", lambda value: 0 <= value < 1)
 
 
+def _seconds(text: str) -> float:
+    return number(text, "length in s above 0", lambda value: value > 0)
+
+
+def _rate(text: str) -> float:
+    return number(text, "rate in 1/s, not below 0", lambda value: value >= 0)
+
+
 def _configure(parser: ArgumentParser) -> None:
     parser.epilog, parser.formatter_class = EXAMPLES, RawDescriptionHelpFormatter
     parser.add_argument(
@@ -238,6 +251,11 @@ def _configure(parser: ArgumentParser) -> None:
     parser.add_argument("--excitation", choices=EXCITATIONS, default="hammer",
                         help="hammer (default); random: shakers over the whole band; shaker: some lines")  # fmt: skip
     parser.add_argument("--between", type=band, metavar="T0:T1", help="seconds of every record that are used")
+    group = parser.add_argument_group("records of hammers")
+    group.add_argument("--gate", type=_seconds, metavar="S",
+                       help="so much of the force is kept on each side of its peak: the rest is noise")  # fmt: skip
+    group.add_argument("--decay", type=_rate, metavar="RATE",
+                       help="exponential window exp(-RATE t) on what rings on; its damping is taken out")  # fmt: skip
     group = parser.add_argument_group("records of shakers")
     group.add_argument("--estimator", choices=ESTIMATORS,
                        help="H1 (default: noise in the responses), H2 (in the forces), Hv (in both), Hs (as the noise "
@@ -256,13 +274,19 @@ def _configure(parser: ArgumentParser) -> None:
 
 def _run(args: Namespace) -> int:
     require_outputs({"-o": args.output}, args.hits)
-    averaging, lines = ({name: getattr(args, name) for name in some} for some in (AVERAGING, ON_LINES))
+    averaging, lines, windows = (
+        {name: getattr(args, name) for name in some} for some in (AVERAGING, ON_LINES, OF_HITS)
+    )
     if args.excitation == "hammer" and (given := [*_given(averaging), *_given(lines)]):
         option = given[0].replace("_", "-")
         raise UsageError(f"--{option} is for shakers: say --excitation shaker or --excitation random, or leave it out")
+    if args.excitation != "hammer" and (given := [*_given(windows)]):
+        raise UsageError(
+            f"--{given[0]} is for hits of a hammer: leave out --excitation {args.excitation}, or --{given[0]}"
+        )
     model = calibrate(
         args.hits, force=args.force, responses=args.response, records=args.record, excitation=args.excitation,
-        between=args.between, averaging=averaging, on_lines=lines, **settings(args),
+        between=args.between, averaging=averaging, on_lines=lines, of_hits=windows, **settings(args),
     )  # fmt: skip
     model.save(args.output)
     data = describe(model)

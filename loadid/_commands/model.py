@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 
 KINDS = ("beam", "plate", "frame", "import")
 ENDS = ("cantilever", "simply_supported", "clamped", "free")
+PAIRS = {
+    "clamped free": "cantilever",
+    "pinned pinned": "simply_supported",
+    "clamped clamped": "clamped",
+    "free free": "free",
+}  # each end by its own name
+SAME = {"fixed": "clamped", "hinged": "pinned"}
 SENSORS = {"accelerometer": "Accelerometer", "velocity": "Velocity", "displacement": "Displacement",
            "strain": "StrainGauge"}  # fmt: skip
 LOADS = {"point": "Point", "moment": "Moment"}
@@ -156,16 +163,18 @@ def placed(text: str, known: Mapping[str, str], module: Any, option: str) -> Any
     for name in given:
         _one_of(name, WORDS, f"setting of a {option}", f"a place in x, y or z, direction, label, {', '.join(NUMBERS)}")
     if bare := next((p for p in dofs if p[0].isdigit() and _is_length(p)), None):
+        second = "." in bare and "x" in given  # no decimal comma stands before a number with a point
+        place = f"x={given['x']},y={bare}" if second else f"x={'0.5' if given else bare}"
         raise InputError("a number without its name", where=f"{WHERE}, {option}", found=repr(text),
-                         expected=f"{kind}:x={'0.5' if given else bare} (a place in m), or {kind}:12+Z",
-                         hint="a decimal point, where the comma was one" if given else "")  # fmt: skip
-    place = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
-    if len(dofs) + bool(place) != 1:
+                         expected=f"{kind}:{place} (a place in m), or {kind}:12+Z",
+                         hint="a decimal point, where the comma was one" if given and not second else "")  # fmt: skip
+    at = [size(given.pop(a), f"{option} {text}, {a}") for a in "xyz" if a in given]
+    if len(dofs) + bool(at) != 1:
         raise InputError("a sensor or a load has one place", where=f"{WHERE}, {option}", found=repr(text),
                          expected=f"{kind}:12+Z (node and direction), or {kind}:x=0.5")  # fmt: skip
     words = {k: (float(size(v, f"{option}, {k}", "rad" if k == "angle" else "m" if k in ("fibre", "length") else "1"))
                  if k in NUMBERS else v) for k, v in given.items()}  # fmt: skip
-    words |= {"at": place[0] if len(place) == 1 else tuple(place)} if place else {}
+    words |= {"at": at[0] if len(at) == 1 else tuple(at)} if at else {}
     made: Callable[..., Any] = getattr(module, known[kind])
     try:
         return made(*dofs, **words)
@@ -199,6 +208,16 @@ def _one_of(word: str, words: Any, name: str, expected: str) -> None:
     if word not in words:
         more = did_you_mean(word, words).removeprefix("; ")
         raise InputError(f"there is no {name} {word!r}", where=f"{WHERE}, {name}", expected=expected, hint=more)
+
+
+def _known_ends(word: Any) -> None:
+    """Refuse ends that there are not; whoever names each of both is told what they are called together."""
+    sides = [SAME.get(side, side) for side in str(word).lower().replace("_", "-").split("-")]
+    if word not in ENDS and len(sides) == 2 and set(sides) <= {"clamped", "pinned", "free"}:
+        both = PAIRS.get(" ".join(sorted(sides)))
+        hint = f"did you mean {both}?" if both else f"structures.beams.beam(left={sides[0]!r}, right={sides[1]!r}, ...)"
+        raise InputError(f"there is no ends {word!r}", where=f"{WHERE}, ends", expected=", ".join(ENDS), hint=hint)
+    _one_of(word, ENDS, "ends", ", ".join(ENDS))
 
 
 # -- the model ---------------------------------------------------------------------------------------------------------
@@ -394,7 +413,7 @@ def _structure(kind: str, settings: Mapping[str, Any], paths: Sequence[str | Pat
         words["damping"] = ratios(settings["damping"])
     if kind == "beam":
         ends = settings.get("ends", "cantilever")
-        _one_of(ends, ENDS, "ends", ", ".join(ENDS))
+        _known_ends(ends)
         beam: Callable[..., Structure] = getattr(beams, ends)
         return _needing(beam, words, ("length",))
     if kind == "plate":

@@ -9,7 +9,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from structures._advice import Advice, Option
 from structures._flags import Flag, codes
@@ -28,7 +28,7 @@ from .._inverse.penalties import order
 from .._inverse.support import ActingPosterior
 from .._results.again import Again, Quick
 from .._results.estimate import LoadEstimate
-from .._results.facts import Facts
+from .._results.facts import Facts, expecting
 from .._spellings import Progress, takes
 from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import detection, histories, local_variance
@@ -192,13 +192,22 @@ class Deconvolution:
             found = local_variance.widened(found, states(), choice)
         found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")
-        return answer(
+        lost = 0.0 if local_variance.told(local) else self._lost(posed, data, found.load)
+        made = answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
             prior=prior or _prior(self.settings) + pushes,
-            flags=self._flags(posed, choice, data, found), searched=posed.judged, full=posed.full, free=self._free,
-            solved=None if pushed is not None else posed.path, judged=not prior,
-            spare=self._spare(posed, data),
+            flags=[*self._flags(posed, choice, data, found), guards.lost_response(lost)],
+            searched=posed.judged, full=posed.full, free=self._free,
+            solved=None if pushed is not None else posed.path, judged=not prior, spare=self._spare(posed, data),
         )  # fmt: skip
+        return expecting(made, np.sqrt(lost)) if lost else made
+
+    def _lost(self, posed: Posed, data: Data, load: NDArray[np.float64]) -> float:
+        """Share of the response to the load that was not recorded, which one variance for the whole record hides."""
+        missing = data.missing[-len(posed.values) :]
+        if not missing.any() or len(load) != len(missing):
+            return 0.0
+        return histories.lost_response(posed.h, missing, posed.noise.std, load)
 
     def _again(self, fit: Settled) -> Again | None:
         """The problem, to be asked at another lambda; None without regularisation and for loads that are learned."""

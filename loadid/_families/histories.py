@@ -46,6 +46,29 @@ def kurtosis(g: Array) -> float:
     return float(np.mean(g**4)) / power**2 if power > 0 else 0.0
 
 
+def lost_response(h: Array, missing: NDArray[np.bool_], std: Array, load: Array) -> float:
+    """Share of the power of the response to a load that fell on samples which are missing.
+
+    Parameters
+    ----------
+    h : array (samples, sensors, loads)
+        Impulse response.
+    missing : array of bool (samples, sensors)
+    std : array (sensors,)
+        Noise of the sensors, by which they count.
+    load : array (samples, loads)
+    """
+    from scipy import fft
+
+    n, size = len(load), fft.next_fast_len(2 * len(load), real=True)
+    power = fft.rfft((h[:n] / std[:, None]) ** 2, size, axis=0).conj()
+    of = [np.maximum(fft.irfft(np.einsum("fsl,fs->fl", power, fft.rfft(mask, size, axis=0)), size, axis=0)[:n], 0)
+          for mask in (missing.astype(float), np.ones(missing.shape))]  # fmt: skip
+    energy = load**2
+    whole = float(np.sum(energy * of[1]))
+    return min(float(np.sum(energy * of[0])) / whole, 1.0) if whole > 0 else 0.0
+
+
 HEAD = 400  # samples of the impulse response that hold the free motions
 
 

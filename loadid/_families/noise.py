@@ -49,6 +49,14 @@ class NoiseLevel:
         """Noise level of the whitened data."""
         return 1.0 if self.known else None
 
+    @property
+    def std(self) -> NDArray[np.float64]:
+        """Std of each sensor (sensors,), or its scale where the noise is not known."""
+        if isinstance(self.level, Cholesky):
+            return np.asarray(np.linalg.norm(np.asarray(self.level.factor, float), axis=1))
+        level = np.asarray(self.level, float)
+        return level if level.ndim == 1 else np.asarray(np.sqrt(np.diag(level)))
+
 
 def resolve(given: Noise, model: Model, data: Data) -> NoiseLevel:
     """Noise level by the first that tells: the user, the model, the record's channels, its quiet segment; else a scale.

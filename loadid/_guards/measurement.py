@@ -14,6 +14,7 @@ from .._results.faults import SensorFault
 
 CORRELATED = 0.5  # effective over nominal number of data
 LOST = 0.5  # missing share of a channel
+UNHEARD = 0.3  # relative error of a load, as far as its response was lost, from which on it is said
 APART = 1e-6  # singular values of the loads, smallest over largest, below which the difference is rounding
 MOTION = ("velocity", "acceleration", "angular_velocity", "angular_acceleration")  # blind at 0 Hz
 
@@ -125,6 +126,18 @@ def gaps(lost: Sequence[float], labels: Sequence[str]) -> Flag | None:
         "W210",
         Evidence("missing share of a channel", max(x for x, _ in worst), LOST),
         f"more than half of the samples are missing: {said}; the rest was used as it is",
+    )
+
+
+def lost_response(share: float) -> Flag | None:
+    """W224: the load acts where samples are missing; `share` is that of the power of its response which fell there."""
+    if share <= UNHEARD**2:
+        return None
+    return Flag(
+        "W224",
+        Evidence("share of the power of the response to the load that fell on missing samples", share, UNHEARD**2),
+        f"samples are missing where the load acts: {share:.0%} of what its response would have told are lost, and a "
+        "prior that expects the same load everywhere fills the gap with too little of it",
     )
 
 

@@ -139,4 +139,4 @@ def _model(data: Any, where: str) -> Model:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "model.h5"
         place.write_bytes(np.asarray(data).astype(np.uint8).tobytes())
-        return modelfile.load_any(place)
+        return modelfile.load_model(place)

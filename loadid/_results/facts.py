@@ -11,7 +11,7 @@ from __future__ import annotations
 import platform
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -394,6 +394,12 @@ def expected_error(estimate: LoadEstimate) -> float:
     if _whole(estimate):
         load2 = max(load2 - 2 * error2, 0.0)
     return relative(error2, load2)
+
+
+def expecting(estimate: LoadEstimate, error: float) -> LoadEstimate:
+    """The estimate, whose load is expected to be off by so much (relative) at least."""
+    least = max(expected_error(estimate), float(error))
+    return replace(estimate, facts=Facts.of({**estimate.facts, "expected_error": least}))
 
 
 def _whole(estimate: LoadEstimate) -> bool:

@@ -177,9 +177,10 @@ def settle(
             "sensors of different units need their noise",
             where=where,
             found=", ".join(sorted(set(units))),
-            expected="noise=, a std per sensor",
-            hint="without it a strain and a displacement cannot be weighed against each other",
-        )
+            expected="a std per sensor",
+            hint=Advice("without it a strain and a displacement cannot be weighed against each other: ",
+                        Spelling("noise=[...]", "--noise STD,..."), " in SI"),
+        )  # fmt: skip
     pick = np.arange(H.shape[1]) if loads is None else _loads(loads, names, where)
     sensors_at = sensors_at if at is None else _places(at, len(H), "at")
     columns_at = columns_at if loads_at is None else _places(loads_at, len(names), "loads_at")

@@ -86,7 +86,7 @@ Pictures = Callable[[int, int], "list[Figure]"]
 
 
 def _of_model(job: Mapping[str, Any], said: _toml.PlanReader, file: Path) -> tuple[DrawMaker, Pictures]:
-    from structures.files._modelfile import load_any
+    from structures.files._modelfile import load_model
 
     from ._histories import HistoryDeclaration, HistoryMaker
 
@@ -99,8 +99,8 @@ def _of_model(job: Mapping[str, Any], said: _toml.PlanReader, file: Path) -> tup
     names = [names] if isinstance(names, str) else names
     if not isinstance(names, list):
         said.refused("truth", names, "a file, or a list of files")
-    others = [load_any(said.file({"truth": one}, "truth", said.where, file.parent)) for one in names]
-    model = load_any(said.file(job, "model", said.where, file.parent))
+    others = [load_model(said.file({"truth": one}, "truth", said.where, file.parent)) for one in names]
+    model = load_model(said.file(job, "model", said.where, file.parent))
     return HistoryMaker(model, declared, others), lambda seed, draws: []
 
 

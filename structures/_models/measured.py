@@ -116,8 +116,9 @@ class MeasuredModel(FrfModel):
         force, responses : label or index
             Channels.
         reject : bool
-            Leave out double hits, clipped forces and overloads. Records with NaN, without any force or with a dead
-            response are left out in any case; `hits` says which and why.
+            Leave out double hits, clipped forces and overloads, and hits that contradict most of the others (W223).
+            Records with NaN, without any force or with a dead response are left out in any case; `hits` says which and
+            why.
         gate : float, optional
             Seconds on each side of the peak that are kept of the force; what lies outside is noise.
         decay : float
@@ -127,7 +128,8 @@ class MeasuredModel(FrfModel):
         Raises
         ------
         InputError
-            No usable hit, different steps or units, unknown channels, a window that is none.
+            No usable hit, different steps or units, unknown channels, a window that is none; hits that contradict each
+            other where no majority says which is right (LID-E223).
 
         Notes
         -----

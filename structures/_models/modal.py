@@ -286,7 +286,7 @@ class ModalModel(Model):
 
     # -- files ------------------------------------------------------------------------------------------------------
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load_any` reads it."""
+        """Write the model to HDF5, whole or not at all, with checksums; `modelfile.load_model` reads it."""
         errors = None if self._errors is None else {name: getattr(self._errors, name) for name in ERRORS}
         settings = {
             "modes": self._modes, "band": list(self.band), "rows": self._rows, "columns": self._columns,

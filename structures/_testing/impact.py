@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from .._advice import Advice, Spelling
 from .._certificate import Certificate
 from .._channels import Channel
 from ..errors import InputError, as_array, digests, own_step
+from .contradicting import contradicting
 from .spectra import checked_decay, exponential, gate, padded_length, smooth_lines, taken_out
 
 SECOND_HIT = 0.2  # share of the main peak that a separate later pulse must reach
@@ -205,6 +206,9 @@ def from_hits(
     stack = np.zeros((len(used), longest, used[0].values.shape[1]))
     for row, t in zip(stack, used, strict=True):
         row[: len(t.values)] = t.values
+    odd, flags = contradicting(stack[..., 0], stack[..., 1:], [t.name for t in used], labels, reject=reject)
+    stack = np.delete(stack, list(odd), axis=0)
+    hits = _left_out(hits, odd)
     first = tests[0]
     if width is not None:
         stack[..., 0] *= [gate(f, first.dt, width) for f in stack[..., 0]]
@@ -218,8 +222,16 @@ def from_hits(
         "loads": first.channels[:1],
         "sensors": first.channels[1:],
         "records": TrainingRecords(tuple(hits), longest, found.pop("noise_power", None), found.pop("gains", None)),
+        "flags": flags,
         **found,
     }
+
+
+def _left_out(hits: list[Hit], odd: Mapping[int, str]) -> list[Hit]:
+    """The hits without those that contradict the others, counted among the used ones."""
+    used = [k for k, hit in enumerate(hits) if hit.used]
+    wrong = {used[i]: reason for i, reason in odd.items()}
+    return [replace(hit, used=False, reason=wrong[k]) if k in wrong else hit for k, hit in enumerate(hits)]
 
 
 def _undamped(found: dict[str, Any], decay: float, samples: int, power: float) -> dict[str, Any]:

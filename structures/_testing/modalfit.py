@@ -43,6 +43,8 @@ class FrfBand:
         0 receptance, 1 mobility, 2 accelerance.
     length : float
         Seconds after which the impulse response was cut; the lines are then those of its transform.
+    freedom : float
+        Real degrees of freedom of each std; inf where the test states them.
     """
 
     f: Real
@@ -50,11 +52,21 @@ class FrfBand:
     std: Real
     derivative: int
     length: float = np.inf
+    freedom: float = np.inf
 
     @property
     def s(self) -> Complex:
         """``i omega`` of every line."""
         return np.asarray(2j * np.pi * self.f, complex)
+
+    @property
+    def loss(self) -> float:
+        """What weights that are themselves estimates cost, as a factor on the covariance.
+
+        J. Schoukens, R. Pintelon, G. Vandersteen, P. Guillaume, Automatica 33 (1997) 1073-1086: (n - 2)/(n - 4) for n
+        real degrees of freedom.
+        """
+        return 1.0 if np.isinf(self.freedom) else (self.freedom - 2) / (self.freedom - 4)
 
 
 class Poles(NamedTuple):
@@ -84,6 +96,25 @@ class Solved(NamedTuple):
     residual: Complex
 
 
+class Linearised(NamedTuple):
+    """Gauss and Newton's problem, what is linear eliminated.
+
+    Parameters
+    ----------
+    R, right : array (unknowns, unknowns), (unknowns,)
+        Its triangle and right side.
+    slopes : list of array (lines, references, unknowns)
+        Projected slopes of each output.
+    leverage : array (lines, outputs, references)
+        Share of each datum that what is linear follows.
+    """
+
+    R: Real
+    right: Real
+    slopes: list[Complex]
+    leverage: Real
+
+
 @dataclass(frozen=True, eq=False)
 class ModalFit:
     """Modes of FRFs: ``H = sum_k psi_k l_k^T g(s, p_k) + conjugates + what lies outside the band``.
@@ -111,6 +142,8 @@ class ModalFit:
     stayed : array of bool (modes,)
         Poles that stay over the orders of pLSCF. The others were added where the residual asked for them: they carry
         what lies outside the band, or what is no mode, and make the FRFs right.
+    leverage : array like residual
+        Share of each datum that the fit follows, whatever its error.
     """
 
     poles: Complex
@@ -123,6 +156,7 @@ class ModalFit:
     rest_shares: Real
     correlation: Real
     stayed: NDArray[np.bool_]
+    leverage: Real
 
     @property
     def at(self) -> Poles:
@@ -315,10 +349,10 @@ class Problem:
                 out[k] += np.sum(last[len(rest) : len(rest) + 2, -1] ** 2)
         return out
 
-    def linearised(self, at: Poles, found: Solved) -> tuple[Real, Real, list[Complex]]:
-        """Triangle (unknowns, unknowns) and right side of the projected problem; the projected slopes by output."""
+    def linearised(self, at: Poles, found: Solved) -> Linearised:
+        """The projected problem about some poles."""
         columns = self.basis(at)
-        R, kept = np.zeros((0, 0)), []
+        R, kept, leverage = np.zeros((0, 0)), [], np.empty(self.band.H.shape)
         for o in range(self.outputs):
             w = self.w[:, o, :, None]
             Q = linalg.qr(real_rows(columns * w), mode="economic", check_finite=False)[0]
@@ -330,6 +364,7 @@ class Problem:
             R = linalg.qr(np.vstack([R, stacked]) if R.size else stacked, mode="r", check_finite=False)[0]
             R = R[: stacked.shape[1]]
             half = len(J) // 2
+            leverage[:, o] = (np.sum(Q**2, axis=1).reshape(2, self.lines, -1)).mean(axis=0)
             kept.append((J[:half] + 1j * J[half:]).reshape(self.lines, self.references, -1))
         unusual = self._unusual(at)
         rows = np.zeros((len(unusual), R.shape[1]))
@@ -337,7 +372,7 @@ class Problem:
         rows[:, first : first + len(unusual)] = np.eye(len(unusual)) / FACTOR / np.sqrt(2)
         rows[:, -1] = -unusual
         R = linalg.qr(np.vstack([R, rows]), mode="r", check_finite=False)[0][: R.shape[1]]
-        return R[:-1, :-1], R[:-1, -1], kept
+        return Linearised(R[:-1, :-1], R[:-1, -1], kept, leverage)
 
     def linear(self, at: Poles) -> int:
         """Number of linear unknowns."""
@@ -385,8 +420,7 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
     at = Poles(at.inside, turned(at.participation), at.rest)
     found = problem.solved(at)
     for _ in range(steps):
-        R, right, _ = problem.linearised(at, found)
-        step = _step(R, right)
+        step = _step(*problem.linearised(at, found)[:2])
         for k in range(HALVINGS):
             there = problem.moved(at, step * 0.5**k)
             trial = problem.solved(there)
@@ -398,15 +432,17 @@ def fitted(band: FrfBand, at: Poles, stayed: NDArray[np.bool_], steps: int = STE
         at, found = there, trial
         if fall < DONE:
             break
-    R, _, turns = problem.linearised(at, found)
-    white = found.residual / band.std
-    freedom = max(2 * white.size - R.shape[1] - problem.linear(at), 1)
+    last = problem.linearised(at, found)
+    white, root = found.residual / band.std, root_of(last.R)
+    freedom = max(2 * white.size - last.R.shape[1] - problem.linear(at), 1)
     misfit = 2 * float(np.sum(np.abs(white) ** 2)) / freedom
     rho = correlation(white)
-    covariance = _covariance(R, turns, rho) * misfit / 2
+    moved = [J @ root for J in last.slopes]
+    leverage = last.leverage + 0.5 * np.stack([np.sum(np.abs(half) ** 2, axis=2) for half in moved], axis=1)
     return ModalFit(
-        at.inside, at.participation, found.shapes, covariance, misfit, found.residual, at.rest, found.rest, rho, stayed
-    )
+        at.inside, at.participation, found.shapes, _covariance(root, moved, rho) * band.loss * misfit / 2, misfit,
+        found.residual, at.rest, found.rest, rho, stayed, leverage,
+    )  # fmt: skip
 
 
 def _step(R: Real, right: Real) -> Real:
@@ -441,12 +477,13 @@ def root_of(R: Real) -> Real:
     return np.asarray(Vt[good].T / sizes[good] / scale[:, None])
 
 
-def _covariance(R: Real, slopes: list[Complex], rho: Real) -> Real:
-    """Covariance of the unknowns at unit std, errors of neighbouring lines correlated: ``N^-1 M N^-1``."""
-    root = root_of(R)
+def _covariance(root: Real, moved: list[Complex], rho: Real) -> Real:
+    """Covariance of the unknowns at unit std, errors of neighbouring lines correlated: ``N^-1 M N^-1``.
+
+    By a root of N^-1 and the slopes (lines, references, rank) of each output times it.
+    """
     middle = np.eye(root.shape[1])
-    for J in slopes:
-        half = np.einsum("lju,uv->ljv", J, root)
+    for half in moved:
         for lag, value in enumerate(rho, start=1):
             cross = np.einsum("lju,ljv->uv", half[:-lag].conj(), half[lag:]).real
             middle = middle + value * (cross + cross.T)

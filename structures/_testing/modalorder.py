@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .modalfit import QUICK, Complex, FrfBand, ModalFit, Poles, Problem, fitted, pole, turned
+from .modalfit import QUICK, Complex, FrfBand, ModalFit, Poles, Problem, Real, fitted, pole, turned
 from .spectra import smooth_lines
 
 EXTRA = 12  # places where the residual of a fit may ask for a mode
@@ -23,6 +23,8 @@ NEAR, STAYS = 0.8, 0.51  # where a mode just below the band begins, and from whe
 ABOVE = ((1.3,), (2.0,), (4.0,), (1.3, 2.0), (1.5, 4.0))  # and those for what is above it: times its end
 BOTH = 0.01  # of the highest, within which two resonators outside are one
 OUTSIDE = 0.02  # damping ratio of modes outside
+LEFT = 0.05  # share of a datum that a fit leaves, at least
+FEWEST = 6.0  # degrees of freedom of a smoothed power, at least
 
 
 def candidates(band: FrfBand) -> list[Complex]:
@@ -132,8 +134,24 @@ def parted(band: FrfBand, fit: ModalFit) -> ModalFit:
     return fit
 
 
-def reweighted(band: FrfBand, residual: Complex) -> FrfBand:
-    """The band with the std that its residuals show, smoothed over neighbouring lines."""
+def reweighted(band: FrfBand, fit: ModalFit) -> FrfBand:
+    """The band with the std that residuals of neighbouring lines show, none judged by its own.
+
+    What the fit followed of the noise is made up for, line by line (J. G. MacKinnon, H. White, J. Econometrics 29
+    (1985) 305-325). With n degrees of freedom the mean of 1/power is n/(n - 2) of what it should be, and divided out.
+    """
     half = max(5, len(band.f) // 40)
-    power = smooth_lines(np.abs(residual) ** 2, half)
-    return replace(band, std=np.sqrt(np.maximum(power, 1e-12 * np.mean(np.abs(band.H) ** 2, axis=0))))
+    left = smooth_lines(np.clip(1 - fit.leverage, LEFT, 1), half, own=False)
+    power = smooth_lines(np.abs(fit.residual) ** 2, half, own=False) / left
+    freedom = max(_freedom(len(band.f), half, fit.correlation), FEWEST)
+    power *= freedom / (freedom - 2)
+    least = 1e-12 * np.mean(np.abs(band.H) ** 2, axis=0)
+    return replace(band, std=np.sqrt(np.maximum(power, least)), freedom=freedom)
+
+
+def _freedom(lines: int, half: int, correlation: Real) -> float:
+    """Real degrees of freedom of powers that are smoothed over lines with errors that are correlated by so much."""
+    k = smooth_lines(np.eye(lines)[:, lines // 2], half, own=False)
+    rho = [1.0, *correlation]
+    both = sum((2 if lag else 1) * r**2 * float(k[lag:] @ k[: lines - lag]) for lag, r in enumerate(rho))
+    return 2 / both

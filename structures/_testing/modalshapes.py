@@ -257,7 +257,7 @@ def _scale(band: FrfBand, fit: ModalFit, residual: Complex, unknowns: int) -> fl
     """Variance of each real error over the squared std, for the correlation of neighbouring lines."""
     inflation = max(1.0, 1.0 + 2.0 * float(np.sum(fit.correlation)))
     power = float(np.sum(np.abs(residual / band.std) ** 2))
-    return power / max(2 * residual.size - unknowns, 1) * inflation
+    return power / max(2 * residual.size - unknowns, 1) * inflation * band.loss
 
 
 def _judged(band: FrfBand, found: Fit, residual: Complex, stated: Real | None) -> Fit:

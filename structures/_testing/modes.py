@@ -224,7 +224,7 @@ def identify_modes(
         raise _nothing(found)
     fit, dropped = selected(fitted_band, poles, participation)
     if not known:  # weak modes stay where the weights are right
-        fitted_band = reweighted(fitted_band, fit.residual)
+        fitted_band = reweighted(fitted_band, fit)
         poles, participation, again = _start(fitted_band, order)
         if len(poles) >= np.sum(fit.stayed):
             found, (fit, dropped) = again, selected(fitted_band, poles, participation)

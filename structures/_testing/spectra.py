@@ -34,8 +34,11 @@ def multiplicity(padded: int) -> NDArray[np.float64]:
     return count
 
 
-def smooth_lines(power: NDArray[Any], half: int) -> NDArray[np.float64]:
-    """Hann-weighted mean over ``2 half + 1`` neighbouring lines, the ends mirrored; shape (lines, ...)."""
+def smooth_lines(power: NDArray[Any], half: int, *, own: bool = True) -> NDArray[np.float64]:
+    """Hann-weighted mean over ``2 half + 1`` neighbouring lines, the ends mirrored; shape (lines, ...).
+
+    With `own` False over the neighbours alone.
+    """
     lines = len(power)
     half = min(half, (lines - 1) // 2)
     if half < 1:
@@ -43,6 +46,7 @@ def smooth_lines(power: NDArray[Any], half: int) -> NDArray[np.float64]:
     from scipy.ndimage import convolve1d
 
     kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel[half] *= own
     return np.asarray(convolve1d(np.asarray(power, float), kernel / kernel.sum(), axis=0, mode="mirror"))
 
 

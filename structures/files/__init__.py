@@ -1,4 +1,4 @@
-"""Structures from files: K, M and C in npz, Matrix Market and HDF5, with a plain DOF table; and back. FRFs too.
+"""Structures from files: K, M and C in npz, Matrix Market and HDF5, with a plain DOF table; and back. Models, FRFs too.
 
 Finite-element models of Nastran, Abaqus, Ansys and CalculiX: `read_fe`.
 
@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ._frfs import read_frfs
     from ._matrices import load, save
+    from ._modelfile import load_model
     from .fe._model import FeModel
     from .fe._read import read_fe
 
-__all__ = ["FeModel", "load", "read_fe", "read_frfs", "save"]
+__all__ = ["FeModel", "load", "load_model", "read_fe", "read_frfs", "save"]
 
 _PLACES = {
-    "FeModel": "fe._model", "load": "_matrices", "read_fe": "fe._read", "read_frfs": "_frfs", "save": "_matrices",
+    "FeModel": "fe._model", "load": "_matrices", "load_model": "_modelfile", "read_fe": "fe._read",
+    "read_frfs": "_frfs", "save": "_matrices",
 }  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from ._storage import as_path
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 KIND = "structure"
+MODELS = ("forward model", "state space", "modal model", "measured model", "table of FRFs")
 OBJECTS = 10_000
 _FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: compiled in; any other would load a library from the disk
 
@@ -34,7 +35,11 @@ def open_hdf5(path: Path) -> Container:
     InputError
         If it is no HDF5 file, is cut or damaged, or holds what is not read (links out of the file, plug-in filters).
     """
-    if storage.kind_of(path) is not None:
+    kind = storage.kind_of(path)
+    if kind in MODELS:
+        raise InputError("another kind of file: this is a model, not a structure", where=str(path), found=kind,
+                         expected=KIND, hint="structures.files.load_model reads it")  # fmt: skip
+    if kind is not None:
         tree = storage.read(path, KIND)
         arrays: dict[str, Callable[[], NDArray[Any]]] = {}
         _flatten(tree, "", arrays)

@@ -146,7 +146,7 @@ def load(path: str | os.PathLike[str]) -> ForwardModel | StateSpace:
     return model
 
 
-def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
+def load_model(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | ForwardModel | ModalModel | StateSpace:
     """Read a model of any kind that was saved here, or FRFs of a universal file or a text that states what they are.
 
     Raises
@@ -163,6 +163,9 @@ def load_any(path: str | os.PathLike[str]) -> MeasuredModel | FrfModel | Forward
     if kind == MODAL:
         return ModalModel.load(path)
     return FrfModel.load(path) if kind == TABLE else MeasuredModel.load(path)
+
+
+load_any = load_model  # its name in release 0.1
 
 
 def _forward(tree: Mapping[str, Any]) -> ForwardModel:

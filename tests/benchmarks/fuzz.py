@@ -212,7 +212,7 @@ def own_doors(folder: Path) -> list[Door]:
     loadid.Deconvolution(model, noise=1e-3).estimate(record).save(folder / "result.h5")
 
     def read_model(path: Path) -> tuple[list[Any], bool]:
-        found = modelfile.load_any(path)
+        found = modelfile.load_model(path)
         return [found.state_space(1e-4).A], False
 
     def read_result(path: Path) -> tuple[list[Any], bool]:

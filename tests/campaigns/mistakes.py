@@ -283,6 +283,16 @@ def hits(**settings: Any) -> Callable[[Folder], Argv]:
     return lambda at: at.calibrate(**settings)
 
 
+def other_force(factor: float, count: int = 3) -> Callable[[Folder], Argv]:
+    """``loadid calibrate`` on hits of which the last one has its force in another unit or of the other sign."""
+
+    def made(at: Folder) -> Argv:
+        wrong = at.csv("wrong.csv", table(count - 1, PEAKS[count - 1]) * [1, factor, 1, 1])
+        return at.calibrate(logs=[*(at.path / f"hit{k}.csv" for k in range(count - 1)), wrong])
+
+    return made
+
+
 def other_rate(at: Folder) -> Argv:
     """A logger at twice the frequency."""
     return at.identify(at.csv("other.csv", table(*LAST, rate=2 * RATE)))
@@ -460,11 +470,17 @@ MISTAKES = (
     Mistake("empty columns behind", edited(lambda lines: [f"{line},," for line in lines]), (0,)),
     Mistake("a footer", edited(lambda lines: [*lines, "End of file"]), says=("line 514",)),
     Mistake("one sensor lacks", edited(without(3)), says=("'a2'", "a1")),
+    Mistake("one force of three in mN", other_force(1000.0), (0,), says=("1000 times", "W223")),
+    Mistake("one force of three turned", other_force(-1.0), (0,), says=("wrong sign", "W223")),
+    Mistake("one force of two in mN", other_force(1000.0, 2), says=("contradict", "1000 times", "units")),
     # models
     Mistake("section in mm", beam("--section", "rectangle:40,10", *STEEL), says=("40mm,10mm",)),
     Mistake("E in GPa", beam(*SECTION, "--material", "E=210,rho=7850"), says=("E=210GPa",)),
     Mistake("density in g/cm^3", beam(*SECTION, "--material", "E=210e9,rho=7.85"), says=("kg/m^3",)),
     Mistake("damping in per cent", beam(*SECTION, *STEEL, "--damping", "2"), says=("0.02 for 2 %",)),
+    Mistake("each end named", beam(*SECTION, *STEEL, "--ends", "clamped-free"), says=("did you mean cantilever",)),
+    Mistake("place without y", beam(*SECTION, *STEEL, "--sensor", "displacement:x=0.1,0.3"), says=("x=0.1,y=0.3",),
+            never=("decimal point",)),
     Mistake("place in mm", beam(*SECTION, *STEEL, "--sensor", "displacement:x=300"), says=("outside", "metres")),
     Mistake("full device", typed(), says=("No space left", "space"), patch=full),
     Mistake("read-only folder", lambda at: at.identify(output="/proc/r.h5"), says=("cannot be written",)),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from structures import Flag, FrfModel, cross_spectra
+from structures import Flag, FrfModel, MeasuredModel, cross_spectra
 from structures._testing.frfs import estimate
 
+from ..structures.impacts import hits
 from ..structures.test_reciprocity import LINES, channels, frf
 from .cases import Case, refused
 
@@ -51,8 +52,27 @@ def places(gain: float) -> tuple[Flag, ...]:
     return FrfModel.from_frf(LINES, H, kind="accelerance", sensors=names[0], loads=names[1]).flags
 
 
+def hit_by(factor: float, count: int = 3) -> tuple[Flag, ...]:
+    """Flags of hits of which the last one has its force in another unit."""
+    tables = hits(count, noise=0.2)
+    tables[-1][:, 0] *= factor
+    return MeasuredModel.from_hits(tables, dt=DT, force=0, responses=[1]).flags
+
+
 BAND, FEW = np.linspace(20, 100, 200), np.array([20.0, 50.0, 70.0])
 CASES = [
+    Case(
+        "W223",
+        lambda: hit_by(1000.0),
+        lambda: hit_by(1.1),
+        r"hit 3: the force is 1000 times \(a factor of units\) what the other hits say.*of hits = 99\d",
+    ),
+    Case(
+        "E223",
+        lambda: refused(lambda: hit_by(1000.0, 2)),
+        lambda: refused(lambda: hit_by(1.1, 2)),
+        r"hit 1 is 1000 times .* that of hit 2",
+    ),
     Case("W207", lambda: oscillator(BAND, -1), lambda: oscillator(BAND), r"a / 3\+Z.*negative times = \d", "band"),
     Case(
         "W207",

@@ -199,6 +199,13 @@ def gapped(share: float) -> np.ndarray:
     return y
 
 
+def lost(start: int) -> np.ndarray:
+    """A record of which all channels have lost ten samples."""
+    y = noisy(arrays(impulse()).predict(pulse(), DT))
+    y[start : start + 10] = np.nan
+    return y
+
+
 def moved(kind: type, **settings) -> ForwardModel:
     """Two sensors of motion on the beam."""
     seen = [kind(at=x, label=f"m{x}", **settings) for x in (0.4, 1.1)]
@@ -343,6 +350,12 @@ CASES = [
         lambda: flags(arrays(impulse()), gapped(0.6), noise=1.0, choice=0.1),
         lambda: flags(arrays(impulse()), gapped(0.4), noise=1.0, choice=0.1),
         r"more than half of the samples are missing: s0 \(60%\).*= 0\.6 \(threshold 0\.5\)",
+    ),
+    Case(
+        "W224",
+        lambda: flags(arrays(impulse()), lost(int(np.argmax(pulse()[:, 0])) - 4), noise=1.0, choice=0.1),
+        lambda: flags(arrays(impulse()), lost(85), noise=1.0, choice=0.1),
+        r"missing where the load acts: \d+% of what its response would have told are lost",
     ),
     Case("N303", lambda: flags(arrays(impulse(1, 2))), lambda: (), r"100 components in ker\(H\).*finer than \S+ s"),
     Case(

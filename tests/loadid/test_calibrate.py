@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from loadid import Deconvolution, calibrate, datasets, read
 from loadid._commands import load_model
-from structures import FrfModel, MeasuredModel
+from structures import FrfModel, InputError, MeasuredModel
 from tests.loadid.test_cli import installed, run
 
 __all__ = ["installed", "run"]
@@ -117,3 +118,27 @@ def test_what_cannot_be_calibrated_leaves_no_file(run, shaken, tmp_path, words, 
     assert (found, out) == (code, "")
     assert said in err
     assert not (tmp_path / "m.h5").exists()
+
+
+def test_noise_of_a_hammer_outside_its_pulses_is_left_out(run, tmp_path):
+    """It makes H1 too small where hits have little energy, and a load in a window cannot make up for it."""
+    hit = datasets.hammer_test(tmp_path)
+    words = ["calibrate", *hit.files[:3], "--force", "hammer", "--response", "acc1,acc2", "-o", tmp_path / "m.h5"]
+    record, off, grades = read(hit.files[3]), [], []
+    for more in ([], ["--gate", "0.004"]):
+        code, _, err = run(*words, *more)
+        assert code == 0, err
+        found = Deconvolution(load_model(tmp_path / "m.h5"), support=(0.019, 0.025)).estimate(record)
+        off.append(np.linalg.norm(found.load - hit.load) / np.linalg.norm(hit.load))
+        grades.append(found.grade.letter)
+    assert grades == ["D", "A"]
+    assert 0.02 < off[0] < 0.03
+    assert off[1] < 0.01
+    gated = MeasuredModel.from_hits([read(f) for f in hit.files[:3]], force="hammer", responses=["acc1", "acc2"],
+                                    gate=0.004)  # fmt: skip
+    np.testing.assert_array_equal(load_model(tmp_path / "m.h5").H, gated.H)
+    code, _, err = run(*words, "--excitation", "random", "--gate", "0.004")
+    assert code == 2
+    assert "--gate is for hits" in err
+    with pytest.raises(InputError, match=r"gate is no setting of excitation 'random'.*excitation='hammer'"):
+        calibrate(hit.files[:1], force="hammer", responses=["acc1"], excitation="random", of_hits={"gate": 0.1})

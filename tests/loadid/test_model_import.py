@@ -75,7 +75,7 @@ def test_modes_become_a_model(capsys, tmp_path):
     files = [FIXTURES / "modes.op2", FIXTURES / "nodes.bdf"]
     code, _ = run(capsys, *files, "--units", "mm,N", "--damping", "0.01", *PLACES, "-o", out)
     assert code == 0
-    assert _modelfile.load_any(out).natural_frequencies[0] == pytest.approx(2674.5, rel=1e-4)
+    assert _modelfile.load_model(out).natural_frequencies[0] == pytest.approx(2674.5, rel=1e-4)
 
 
 def test_modes_take_no_settings_of_matrices(capsys, tmp_path):
@@ -93,7 +93,7 @@ def test_universal_modes_need_no_units_of_the_command(capsys, tmp_path):
     path.write_text(UNIVERSAL.format(cs=0))
     code, said = run(capsys, path, "--sensor", "displacement:8+Z", "--load", "point:7+Z", "-o", out)
     assert code == 0, said.err
-    assert _modelfile.load_any(out).natural_frequencies.tolist() == [10.0]
+    assert _modelfile.load_model(out).natural_frequencies.tolist() == [10.0]
 
 
 def test_names_say_which_matrix_is_which(capsys, tmp_path):

@@ -12,7 +12,7 @@ import pytest
 
 from loadid import cli
 from structures import FrfModel
-from structures.files._modelfile import load_any
+from structures.files._modelfile import load_model
 from tests.structures.test_modes import INSIDE, F, Z, table
 
 
@@ -52,7 +52,7 @@ def test_frfs_to_a_table_a_picture_and_a_model(run: Any, folder: Path) -> None:
     assert all(m["modal_mass"] > 0 for m in data["modes"])
     assert data["written"] == ["model.h5", "picture.png"]
     assert (folder / "picture.png").read_bytes()[:4] == b"\x89PNG"
-    model = load_any(folder / "model.h5")
+    model = load_model(folder / "model.h5")
     np.testing.assert_allclose(model.natural_frequencies, [m["frequency"] for m in data["modes"]])
 
 

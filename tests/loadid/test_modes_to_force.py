@@ -15,7 +15,7 @@ import pytest
 
 import loadid
 from loadid import cli
-from structures.files._modelfile import load_any
+from structures.files._modelfile import load_model
 from tests.benchmarks.modes import Real, beam
 
 ELEMENTS, DT, LONG = 48, 1 / 2000, 8192
@@ -77,7 +77,7 @@ def folder(tmp_path_factory: Any) -> Path:
 
 def test_the_model_of_hits_is_the_structure(folder: Path) -> None:
     """Between the peaks too, where errors of lines without energy once leaked: 5 to 15 %."""
-    f, model = np.fft.rfftfreq(2 * LONG, DT), load_any(folder / "modes.h5")
+    f, model = np.fft.rfftfreq(2 * LONG, DT), load_model(folder / "modes.h5")
     own = (f > 10) & (f < 280)
     off = np.linalg.norm(model.frf(f[own])[..., 0] - answers()[own], axis=0)
     assert np.all(off[:2] < 0.005 * np.linalg.norm(answers()[own][:, :2], axis=0))  # 0.1 %

@@ -151,3 +151,63 @@ def test_stretches():
 def test_last_bit(bits, gain):
     x = gain * quantised(np.sin(np.linspace(0, 50, 4000)), bits)
     assert last_bit(x) == pytest.approx(gain * 2.0 ** (1 - bits), rel=1e-6)
+
+
+# -- hits that contradict each other -----------------------------------------------------------------------------------
+def scaled(table, *factors):
+    return table * np.asarray(factors)
+
+
+WRONG = {
+    "the force is 1000 times (a factor of units)": (1000.0, 1.0, 1.0),
+    "the force is 0.2248 times (a factor of units)": (0.22481, 1.0, 1.0),
+    "the force has the wrong sign: it is minus": (-1.0, 1.0, 1.0),
+    "channel 2 is 10 times (a factor of units)": (1.0, 1.0, 10.0),
+    "the force is 1.7 times": (1.7, 1.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("reason", WRONG)
+@pytest.mark.parametrize("place", [0, 2])
+def test_a_hit_of_another_unit_or_sign_is_left_out(reason, place):
+    """By a third hit of the same structure, whichever of the three is wrong; the model is that of the other two."""
+    tables = hits(3, sensors=2, noise=0.5)
+    good = [t for i, t in enumerate(tables) if i != place]
+    tables[place] = scaled(tables[place], *WRONG[reason])
+    made = MeasuredModel.from_hits(tables, dt=DT, force=0, responses=[1, 2])
+    assert [h.used for h in made.hits] == [i != place for i in range(3)]
+    assert made.hits[place].reason == f"{reason} what the other hits say"
+    alone = MeasuredModel.from_hits(good, dt=DT, force=0, responses=[1, 2])
+    np.testing.assert_array_equal(made.H, alone.H)
+    assert [f.code for f in made.flags] == ["LID-W223"]
+    kept = MeasuredModel.from_hits(tables, dt=DT, force=0, responses=[1, 2], reject=False)
+    assert all(h.used for h in kept.hits)
+    assert "in the average" in kept.flags[0].message
+
+
+def test_two_hits_that_contradict_each_other_are_refused():
+    one, two = hits(2)
+    with pytest.raises(InputError, match=r"LID-E223.*hit 1 is 1000 times .* that of hit 2"):
+        model(one, scaled(two, 1000.0, 1.0))
+    assert model(one, scaled(two, 1000.0, 1.0), reject=False).flags[0].code == "LID-W223"
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_hits_of_usual_scatter_contradict_nothing(count):
+    """Gains that scatter by 10 %, louder hits that are softer by 10 %, a tenth of noise, offsets of each record."""
+    rng = np.random.default_rng(count)
+    for seed in range(20):
+        tables = hits(count, sensors=2, noise=3.0, seed=seed)
+        for i, t in enumerate(tables):
+            t *= [rng.uniform(0.3, 3.0), *(1 + 0.1 * rng.standard_normal(2)) * (1 - 0.1 * i / count)]
+            t[:, 1:] *= t[:, 0].max() / (100.0 + 20 * i)
+            t[:, 1:] += rng.uniform(-5, 5, 2)
+        made = MeasuredModel.from_hits(tables, dt=DT, force=0, responses=[1, 2])
+        assert all(h.used for h in made.hits)
+        assert not made.flags
+
+
+def test_measured_hits_contradict_nothing():
+    tables = [np.load(measured("hammer_five_hits", f"measurements_{k}.npy")).T[:, 1:] for k in range(1, 6)]
+    made = MeasuredModel.from_hits(tables, dt=1 / 25600, force=0, responses=[1])
+    assert "LID-W223" not in [f.code for f in made.flags]

@@ -7,7 +7,7 @@ import pytest
 
 from structures import Channel, FrfModel, MeasuredModel, MeasuredModes, identify_modes
 from structures._testing.modalfit import kernel, kernel_slope
-from structures.files._modelfile import load_any
+from structures.files._modelfile import load_model
 
 from ..benchmarks.modes import Case, beam, dashpots, noisy
 from ..data import measured
@@ -74,7 +74,7 @@ def test_complex_modes_of_dashpots(damped, tmp_path):
     np.testing.assert_allclose(found.frequencies[order], case.frequencies, rtol=2e-3)
     np.testing.assert_allclose(found.damping[order], case.damping, rtol=0.05)
     model.save(tmp_path / "m.h5")
-    back = load_any(tmp_path / "m.h5")
+    back = load_model(tmp_path / "m.h5")
     assert back.fingerprint == model.fingerprint
     np.testing.assert_array_equal(back.frf(case.f), model.frf(case.f))
     np.testing.assert_array_equal(back.frf_variance(case.f), model.frf_variance(case.f))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,10 +21,10 @@ from structures import (
     sensors,
 )
 from structures._testing.modalfit import FrfBand, Poles, fitted
-from structures._testing.modalorder import selected
+from structures._testing.modalorder import reweighted, selected
 from structures._testing.polyreference import stabilisation
 from structures.errors import InputError
-from structures.files._modelfile import load_any
+from structures.files._modelfile import load_model
 
 from ..data import measured
 
@@ -130,6 +132,31 @@ def test_correlated_lines_widen_the_std():
     assert 0.8 < np.std(smooth) < 1.2  # without the correlation 1.4
 
 
+def test_weights_from_residuals_are_unbiased_and_know_what_they_cost():
+    """White noise without a mode: the mean of 1/std^2, and the scatter of std^2 of so many degrees of freedom."""
+    H = frf(loads=1)[:, :3]
+    w = 2 * np.pi * F
+    start = Poles((-Z * w + 1j * w * np.sqrt(1 - Z**2))[:7], np.ones((7, 1), complex), np.zeros(0, complex))
+    band = FrfBand(LINES, H, np.ones(H.shape), 2)
+    fit = fitted(band, start, np.ones(7, bool), 1)
+    unknowns = 3 * 2 * 7 + 2 * 7
+    assert 2 * fit.leverage.sum() == pytest.approx(unknowns, rel=1e-6)  # trace of the hat matrix
+    ratio = []
+    for seed in range(30):
+        rng = np.random.default_rng([11, seed])
+        noise = (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+        quiet = replace(fit, residual=noise, leverage=np.zeros(H.shape), correlation=np.zeros(0))
+        found = reweighted(band, quiet)
+        ratio.append(found.std**2)
+    power = np.array(ratio)
+    n = found.freedom
+    assert np.mean(1 / power) == pytest.approx(1, abs=0.01)
+    assert np.var(power * (n - 2) / n) == pytest.approx(2 / n, rel=0.05)
+    assert found.loss == pytest.approx((n - 2) / (n - 4))
+    half = reweighted(band, replace(quiet, leverage=np.full(H.shape, 0.5)))
+    np.testing.assert_allclose(half.std**2, 2 * found.std**2)  # what the fit followed is made up for
+
+
 def test_a_mode_that_explains_nothing_is_dropped():
     H = table(0.02, count=1)
     band = FrfBand(LINES, H.H, np.sqrt(np.asarray(H.variance)), 2)
@@ -226,7 +253,7 @@ def test_without_a_variance_the_residuals_tell_it():
 def test_a_model_in_a_file_and_changed(found, tmp_path):
     model = found.model()
     model.save(tmp_path / "m.h5")
-    back = load_any(tmp_path / "m.h5")
+    back = load_model(tmp_path / "m.h5")
     assert isinstance(back, ModalModel)
     assert back.fingerprint == model.fingerprint
     np.testing.assert_array_equal(back.frf(LINES), model.frf(LINES))
