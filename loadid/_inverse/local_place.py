@@ -98,10 +98,10 @@ def evident_place(
     stated : bool
         The noise is stated.
     early : bool
-        The record ends soon after the hit: what the model leaves of it, which is not white, does not count.
+        The record ends soon after the onset: the load may go on, and what the model leaves need not be white.
     """
     prior = local_prior(record(starts[0]), stated=stated)
-    if not (prior.pulses if early else prior.asked_for):
+    if not (prior.rests if early else prior.asked_for):
         return None
 
     memory = prior.memory

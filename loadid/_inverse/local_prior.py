@@ -124,19 +124,19 @@ class Judgement:
         return float(np.mean(self.compared < QUIET * self.compared.max(axis=0), axis=0).min())
 
     @property
-    def pulses(self) -> bool:
-        """Whether the load is one of pulses: by no chance, all loads rest, and no memory beyond a pulse is likelier.
+    def rests(self) -> bool:
+        """Whether the load rests for the larger part, by no chance."""
+        return self.gain > ASKED * float(self.participation.mean()) and self.rest > RESTS
+
+    @property
+    def asked_for(self) -> bool:
+        """Whether the data ask for it: a load that rests, no memory beyond a pulse that is likelier, white noise.
 
         Pulses are none where bumps that last longer are far likelier: two that each fall before they rise stand for a
         step, of which accelerometers see no more.
         """
-        chance = ASKED * float(self.participation.mean())
-        return self.gain > chance and self.rest > RESTS and self.memory <= LONGEST and self.slower < SLOWER
-
-    @property
-    def asked_for(self) -> bool:
-        """Whether the data ask for it: pulses, and the noise is white."""
-        return self.pulses and self.correlation < COLOURED
+        pulses = self.memory <= LONGEST and self.slower < SLOWER
+        return self.rests and pulses and self.correlation < COLOURED
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

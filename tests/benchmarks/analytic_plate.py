@@ -1,9 +1,10 @@
 """Places of hits on a plate whose response is a closed form: nothing of the truth is made by this package.
 
-``python -m tests.benchmarks.analytic_plate [records] [seed]``. A simply supported plate of steel (0.6 x 0.5 m, 5 mm,
+``python -m tests.benchmarks.analytic_plate [records] [seed] [lasting]``. A simply supported plate of steel (0.6 x 0.5 m, 5 mm,
 1 % damping) with the seventy lowest modes of Navier's solution (A. W. Leissa, Vibration of Plates, 1969), each answered
 exactly for a force that is linear between samples eight times finer than the record's, which is filtered and
-decimated; four to six accelerometers, hits of 1.5 to 4 ms anywhere, noise of 0.3 to 3 %. The user has 12 x 10 elements,
+decimated; four to six accelerometers, hits of 1.5 to 4 ms anywhere, noise of 0.3 to 3 %; with the word `lasting` loads
+that begin and go on (random up to 800 Hz, a step of 2 ms, 60 to 300 Hz). The user has 12 x 10 elements,
 the modes below half the sampling rate, 30 candidates, and a modulus that is 3 % too small, right or 3 % too large.
 
 A line for each record: distance of the place found from the true one, over the radius of the 95 % ellipse there (nan
@@ -26,6 +27,7 @@ from structures import ForwardModel, beams, loads, plates, sensors
 
 Array = NDArray[np.float64]
 SIDES, THICKNESS, DAMPING, RATE, FINER, SAMPLES = (0.6, 0.5), 0.005, 0.01, 4000.0, 8, 500
+LASTING = ("random", "step", "sine")
 STEEL = beams.materials.steel
 MASS = STEEL.rho * THICKNESS
 BENDING = STEEL.E * THICKNESS**3 / 12 / (1 - STEEL.nu**2)
@@ -52,14 +54,27 @@ def response(force: Array, at: Array, watched: Array, step: float) -> Array:
     return out
 
 
-def record(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Accelerations of a hit, where it was, and where the sensors are."""
+def force(kind: str, t: Array, rng: np.random.Generator) -> Array:
+    """One history, which begins after 20 to 50 ms."""
+    width, start = rng.uniform(1.5e-3, 4e-3), rng.uniform(0.02, 0.05)
+    since = np.maximum(t - start, 0.0)
+    if kind == "hit":
+        return np.where((since > 0) & (since < width), 100 * np.sin(np.pi * since / width), 0.0)
+    calm = np.minimum(since / 2e-3, 1.0)
+    if kind == "step":
+        return 20 * calm
+    if kind == "sine":
+        return np.asarray(20 * calm * np.sin(2 * np.pi * rng.uniform(60, 300) * since))
+    raw = sosfiltfilt(butter(2, 800, fs=RATE * FINER, output="sos"), rng.standard_normal(len(t)))
+    return np.asarray(20 * calm * raw / raw.std())
+
+
+def record(rng: np.random.Generator, kind: str = "hit") -> tuple[Array, Array, Array]:
+    """Accelerations of a load, where it was, and where the sensors are."""
     at = rng.uniform(0.12, 0.88, 2) * SIDES
     watched = rng.uniform(0.1, 0.9, (int(rng.integers(4, 7)), 2)) * SIDES
     t = np.arange(SAMPLES * FINER) / (RATE * FINER)
-    width, start = rng.uniform(1.5e-3, 4e-3), rng.uniform(0.02, 0.05)
-    force = np.where((t > start) & (t < start + width), 100 * np.sin(np.pi * (t - start) / width), 0.0)
-    y = response(force, at, watched, t[1])
+    y = response(force(kind, t, rng), at, watched, t[1])
     y = sosfiltfilt(butter(8, 0.425 * RATE, fs=RATE * FINER, output="sos"), y, axis=0)[::FINER]
     return y + rng.choice([0.003, 0.01, 0.03]) * y.std(axis=0) * rng.standard_normal(y.shape), at, watched
 
@@ -83,20 +98,21 @@ def off(found: LocationResult, at: Array) -> tuple[float, float, float]:
     return float(over), float(np.linalg.norm(away)), float(np.sqrt(np.trace(C)))
 
 
-def main(count: int = 12, seed: int = 1) -> None:
+def main(count: int = 12, seed: int = 1, lasting: bool = False) -> None:
     """Print a line for each record, and how many are in their band."""
     warnings.simplefilter("ignore")
     every = []
-    print(f"{'modulus':>7s} {'off':>6s} {'mm':>7s} {'std':>7s}  place by  (residual over noise)")
+    print(f"{'load':7s} {'modulus':>7s} {'off':>6s} {'mm':>7s} {'std':>7s}  place by  (residual over noise)")
     for k in range(count):
         rng = np.random.default_rng([seed, k])
-        y, at, watched = record(rng)
+        kind = LASTING[k % len(LASTING)] if lasting else "hit"
+        y, at, watched = record(rng, kind)
         stiffer = float(rng.choice([0.97, 1.0, 1.03]))
         found = LocationSearch(user(watched, stiffer)).locate(y, 1 / RATE)
         over, away, std = off(found, at)
         codes = " ".join(sorted({f.code[4:] for f in found.flags if f.code[4] == "W"}))
         every.append((over, "W511" in codes))
-        print(f"{stiffer:7.2f} {over:6.2f} {1e3 * away:7.2f} {1e3 * std:7.2f}  {found.facts['place_by']} "
+        print(f"{kind:7s} {stiffer:7.2f} {over:6.2f} {1e3 * away:7.2f} {1e3 * std:7.2f}  {found.facts['place_by']} "
               f"({found.facts['residual_to_noise']:.1f})  {codes}", flush=True)  # fmt: skip
     told = [over for over, unsure in every if not unsure]
     print(f"{count} places, {count - len(told)} said to be unsure (W511); of the others "
@@ -104,4 +120,4 @@ def main(count: int = 12, seed: int = 1) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    main(*map(int, sys.argv[1:3]), lasting="lasting" in sys.argv[3:])
