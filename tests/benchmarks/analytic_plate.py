@@ -1,11 +1,11 @@
-"""Places of hits on a plate whose response is a closed form: nothing of the truth is made by this package.
+"""Places of loads on a plate whose response is a closed form: nothing of the truth is made by this package.
 
-``python -m tests.benchmarks.analytic_plate [records] [seed] [lasting]``. A simply supported plate of steel (0.6 x 0.5 m, 5 mm,
-1 % damping) with the seventy lowest modes of Navier's solution (A. W. Leissa, Vibration of Plates, 1969), each answered
-exactly for a force that is linear between samples eight times finer than the record's, which is filtered and
-decimated; four to six accelerometers, hits of 1.5 to 4 ms anywhere, noise of 0.3 to 3 %; with the word `lasting` loads
-that begin and go on (random up to 800 Hz, a step of 2 ms, 60 to 300 Hz). The user has 12 x 10 elements,
-the modes below half the sampling rate, 30 candidates, and a modulus that is 3 % too small, right or 3 % too large.
+``python -m tests.benchmarks.analytic_plate [records] [seed] [lasting]``. A simply supported plate of steel (0.6 x
+0.5 m, 5 mm, 1 % damping) with the seventy lowest modes of Navier's solution (A. W. Leissa, Vibration of Plates, 1969),
+each answered exactly for a force that is linear between samples eight times finer than the record's, which is filtered
+and decimated; four to six accelerometers, hits of 1.5 to 4 ms anywhere, noise of 0.3 to 3 %; with the word `lasting`
+loads that begin and go on (random up to 800 Hz, a step of 2 ms, 60 to 300 Hz). The user has 12 x 10 elements, the modes
+below half the sampling rate, 30 candidates, and a modulus that is 3 % too small, right or 3 % too large.
 
 A line for each record: distance of the place found from the true one, over the radius of the 95 % ellipse there (nan
 where nothing bounds it); the distance; the std; what told the place; residual over noise; the codes of its warnings.
