@@ -76,7 +76,7 @@ class LocalLoad:
         own = np.maximum(self.std**2, LEAST * variance)
         weight = own / np.maximum(own + variance, np.finfo(float).tiny)  # of the other
         mean, apart = weight * load + (1 - weight) * self.load, (load - self.load) ** 2
-        agreed = min(1.0, np.sqrt(np.sum(apart) / max(np.sum(own + variance), np.finfo(float).tiny)))
+        agreed = min(1.0, (1.0 + np.sum(apart) / max(np.sum(own + variance), np.finfo(float).tiny)) / 2)
         return mean, (1 - weight) * (agreed * own + weight * apart)
 
 

@@ -336,7 +336,7 @@ def test_two_loads_of_the_same_readings_are_weighed_by_their_variances() -> None
     local = LocalLoad(load, std, np.eye(6), Fitted((), np.empty((0, 3)), 0.0), 1.0, (), 1.0, {1: 1.0})
     mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))
     assert np.allclose(mean, (1.0, 2.5, 0.1))
-    agreed = np.sqrt((0 + 4 + 1.21) / (2 + 4 + 1.1))  # less apart than both lead to expect
+    agreed = (1 + (0 + 4 + 1.21) / (2 + 4 + 1.1)) / 2  # less apart than both lead to expect
     # two that lie apart are wider; a place without a contact keeps a tenth of what is open there
     assert np.allclose(variance, agreed * np.array([0.5, 0.75, 0.1 / 1.1]) + (0, 0.1875 * 4, 0.1))
     apart = local.beside(np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))[1]  # no less than the variance of a mean
