@@ -176,11 +176,12 @@ class DiscModel:
         return Fitted(self.discs, here.at.reshape(-1, 3), here.value)
 
     # -- loads --------------------------------------------------------------------------------------------------------
-    def posterior(self, here: Local, changes: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """Mean (J * 3 * q,) and covariance of the modes, where the evidence has been asked.
+    def posterior(self, here: Local, z: Array, changes: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """Mean (J * 3 * q,) and covariance of the modes, of readings z (m,) whose evidence has been asked.
 
-        `changes` are what errors of std one bring beside such modes, along the directions (r, t). One frame does not
-        tell them: what a load would make good of them is in the covariance, whole.
+        `changes` (m, 1 + t) are what errors of std one bring beside such modes. How much there is of the first the
+        readings tell, and its second moment by them counts, one at most. The others one frame does not tell: what a
+        load would make good of them is in the covariance, whole.
         """
         ends = np.cumsum([0, *self.modes])
         made, covariance = np.zeros((ends[-1], len(here.inner))), np.zeros((ends[-1],) * 2)
@@ -192,7 +193,12 @@ class DiscModel:
             made[own, self.slices[j]] = lower(f, np.tensordot(T, w.made[0], 1).reshape(-1, len(f)).T).T
         mean, reach = made @ here.beta, lower(here.inner, made.T).T
         covariance += reach @ reach.T - made @ made.T
-        felt = reach @ lower(here.inner, self._along(here.F, changes(mean)))
+        wrong = changes(mean)
+        told, first = self._along(here.F, self.told(wrong)), wrong[:, 0]
+        along = lower(here.inner, told)
+        felt, open_ = reach @ along, 1.0 + float(first @ first - along[:, 0] @ along[:, 0])
+        found = float(first @ z - told[:, 0] @ here.beta) / open_
+        felt[:, 0] *= np.sqrt(min(1.0, 1.0 / open_ + found**2))
         return mean, covariance + felt @ felt.T
 
     @cached_property

@@ -32,7 +32,7 @@ from .search import ContactSearch, score
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
 SIDEWAYS = 0.1  # of the pressure: shear that any node may have
 WHOLE = 0.015  # of a force: std of what nodes do not show of it
-SPREAD = 0.5  # of what changes when a load is spread over the nodes beside it: std of what no mesh tells of its shape
+SPREAD = 0.5  # of what changes when a load is spread over the nodes beside it: largest std of what no mesh tells of it
 ERRING = 0.03  # of the largest reading: what errors of a model make of the others, in which no load is to be read
 FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 LEAST = 0.1  # of the variance of loads that may lie anywhere: what one about a contact has at least
@@ -70,12 +70,14 @@ class LocalLoad:
         """Mean and variance (n,) of this load and another (n,) of the same readings, that may lie anywhere.
 
         Each is smooth, or rough, where the other is not: their errors are hardly correlated (.1 on average), so that
-        they are weighed by their variances. How far they lie apart is in the band, as that of two models.
+        they are weighed by their variances. How far they lie apart is in the band, as that of two models; where that
+        is less than both lead to expect, the variance of their mean is as much too large, and is taken half way there.
         """
         own = np.maximum(self.std**2, LEAST * variance)
         weight = own / np.maximum(own + variance, np.finfo(float).tiny)  # of the other
-        mean = weight * load + (1 - weight) * self.load
-        return mean, (1 - weight) * own + weight * (1 - weight) * (load - self.load) ** 2
+        mean, apart = weight * load + (1 - weight) * self.load, (load - self.load) ** 2
+        agreed = min(1.0, (1.0 + np.sum(apart) / max(np.sum(own + variance), np.finfo(float).tiny)) / 2)
+        return mean, (1 - weight) * (agreed * own + weight * apart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Laid:
     """Where modes lie: `nodes` (k,), `shapes` of every disc (k, q), and what each mode does to the resultant `felt`.
 
     That is (6, modes); `axis` (modes,) is the direction of the load. Between its nodes a mesh knows no shape of a load:
-    `wider` (r, modes) is what spreading them over the nodes beside changes of the readings, along their directions.
+    `wider` (m, modes) is what spreading them over the nodes beside changes of the readings.
     """
 
     nodes: Index
@@ -139,7 +141,8 @@ class ContactFit(ContactSearch):
         wrench = wrench - np.outer(made, made)
         longer = np.maximum(_reach(cases, R) / np.sqrt(np.maximum(np.diag(wrench), np.finfo(float).tiny)), 1.0)
         wrench = np.outer(longer, longer) * wrench + WHOLE**2 * np.outer(made, made)
-        wrench[:3, :3] += (WHOLE * float(np.linalg.norm(made[:3]))) ** 2 * np.eye(3)
+        F = made[:3]  # in size by the line before, in direction by this one
+        wrench[:3, :3] += WHOLE**2 * (float(F @ F) * np.eye(3) - np.outer(F, F))
         best = max(found, key=score)
         by_noise = best.at + np.array([np.log(wide), 0.0, 0.0])  # of what is stated, not of what the model may err by
         rest = float(np.sqrt(self.model(best.discs).unlike(wide * z, by_noise) / len(z)))
@@ -181,7 +184,7 @@ class ContactFit(ContactSearch):
         for (weight, here, model, laid), rest in zip(asked, behind, strict=True):
             if rest < NEGLIGIBLE * most:
                 break
-            mean, variance, spread, pull = self._posterior(here, model, laid)
+            mean, variance, spread, pull = self._posterior(z, here, model, laid)
             weight = float(np.exp(weight - asked[0][0] + pull))
             most += weight
             out.append((weight, mean, variance, spread))
@@ -281,16 +284,16 @@ class ContactFit(ContactSearch):
         there = np.flatnonzero(np.any(np.hstack(wider), axis=1))
         H = self.problem.whitened.reshape(len(self.problem.noise), -1, 3)[:, there].transpose(0, 2, 1)
         moved = np.hstack([(H @ more[there]).reshape(len(H), -1) for more in wider])
-        return Laid(nodes, shapes, felt, axis, SPREAD * model.told(moved))
+        return Laid(nodes, shapes, felt, axis, SPREAD * moved)
 
-    def _posterior(self, here: Local, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
+    def _posterior(self, z: Array, here: Local, model: DiscModel, laid: Laid) -> tuple[Array, Array, Array, float]:
         """Mean and variance of the load (n,), covariance of its resultant (6, 6), log chance that all discs press."""
 
         def changes(mean: Array) -> Array:  # of the load that is found without them
             found, columns = laid.loads(mean).ravel(), (3 * laid.nodes[:, None] + np.arange(3)).ravel()
-            return np.column_stack([laid.wider @ mean, *(model.told(found @ c[columns]) for c in self.tolerances)])
+            return np.column_stack([laid.wider @ mean, *(found @ c[columns] for c in self.tolerances)])
 
-        mean, spread = model.posterior(here, changes)
+        mean, spread = model.posterior(here, z, changes)
         load, variance = np.zeros((2, len(self.places), 3))
         load[laid.nodes] = laid.loads(mean)
         all_shapes = np.hstack(laid.shapes)

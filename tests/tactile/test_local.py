@@ -136,11 +136,10 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     loose = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), tolerances=Tolerances(E=0.1, nu=0.02), choice=0.03)
     f, disc, at = loose._contacts(with_depth=True), Disc(1, -1, 3), np.array([[8.0, 0.2, -0.1]])
     assert f is not None
-    z = pressed()[0].ravel() / NOISE
     w, (size, u, v) = f.window(disc), at[0]
     q, share = w.modes.shape[1], np.exp(2 * size) * (np.outer((u, v, 1), (u, v, 1)) + OWN**2 * np.diag((1, 1, 0)))
     spread = np.kron(share, np.eye(q))
-    S = np.eye(len(z)) + f.moved @ f.moved.T
+    S = np.eye(2 * len(markers())) + f.moved @ f.moved.T
     for first in range(0, w.columns.shape[1], 3 * q):
         A = w.columns[:, first : first + 3 * q]
         S += A @ spread @ A.T
@@ -151,17 +150,24 @@ def test_the_posterior_is_that_of_a_dense_covariance_with_the_tolerances_of_the_
     reach = L @ spread @ w.columns[:, : 3 * q].T
     errors = [e.change / f.problem.noise[:, None] for e in f.problem.errors() if not e.of_mesh]
     assert len(errors) == 2
-    plain = reach @ np.linalg.solve(S, z)
     beside = (np.linalg.norm(f.places[:, None] - f.places, axis=2) <= 1.6 * f.pitch).astype(float)
     wider = np.kron(beside / beside.sum(axis=0) - np.eye(len(beside)), np.eye(3))  # nor what lies between nodes
-    errors.append(SPREAD * f.problem.whitened @ wider)
-    made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
-    R = f.problem.resultant
-    model = f.model((disc,))
-    mean, _, wrench, _ = f._posterior(model.evidence(z @ z, model.told(z), at), model, f._laid(model))
-    assert np.allclose(mean, plain, rtol=1e-7, atol=1e-7 * np.abs(plain).max())
-    dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T) + sum(np.outer(m, m) for m in made)) @ R.T
-    assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
+    blurred, R, model, parts = SPREAD * f.problem.whitened @ wider, f.problem.resultant, f.model((disc,)), []
+    rng = np.random.default_rng(5)
+    right = w.columns[:, : 3 * q] @ np.linalg.cholesky(spread) @ rng.standard_normal(3 * q)
+    right += rng.standard_normal(len(S))
+    for z in (pressed()[0].ravel() / NOISE, right):
+        plain = reach @ np.linalg.solve(S, z)
+        made = [reach @ np.linalg.solve(S, change @ plain) for change in errors]  # one frame tells none of them
+        first = blurred @ plain  # but how much there is of this
+        own = 1 + first @ np.linalg.solve(S, first)
+        parts.append(1 / own + (first @ np.linalg.solve(S, z) / own) ** 2)
+        made.append(np.sqrt(min(1.0, parts[-1])) * reach @ np.linalg.solve(S, first))
+        mean, _, wrench, _ = f._posterior(z, model.evidence(z @ z, model.told(z), at), model, f._laid(model))
+        assert np.allclose(mean, plain, rtol=1e-7, atol=1e-7 * np.abs(plain).max())
+        dense = R @ (L @ spread @ L.T - reach @ np.linalg.solve(S, reach.T) + sum(np.outer(m, m) for m in made)) @ R.T
+        assert np.allclose(wrench, dense, rtol=1e-6, atol=1e-7 * np.abs(dense).max())
+    assert parts[0] > 1 > 0.8 > parts[1]  # as much as was supposed at most
 
 
 def test_in_plane_markers_tell_the_normal_force_of_a_press() -> None:
@@ -251,7 +257,7 @@ def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> N
         here = model.evidence(square, told, at)
         if here.value < best.evidence - 12:
             continue
-        mean, _, wrench, pull = f._posterior(here, model, f._laid(model))
+        mean, _, wrench, pull = f._posterior(z, here, model, f._laid(model))
         logs.append(here.value + pull)
         forces.append((R @ mean)[2])
         spreads.append(wrench[2, 2])
@@ -330,5 +336,8 @@ def test_two_loads_of_the_same_readings_are_weighed_by_their_variances() -> None
     local = LocalLoad(load, std, np.eye(6), Fitted((), np.empty((0, 3)), 0.0), 1.0, (), 1.0, {1: 1.0})
     mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))
     assert np.allclose(mean, (1.0, 2.5, 0.1))
+    agreed = (1 + (0 + 4 + 1.21) / (2 + 4 + 1.1)) / 2  # less apart than both lead to expect
     # two that lie apart are wider; a place without a contact keeps a tenth of what is open there
-    assert np.allclose(variance, (0.5, 0.75 + 0.1875 * 4, 0.1 / 1.1 + 0.1 / 1.21 * 1.21))
+    assert np.allclose(variance, agreed * np.array([0.5, 0.75, 0.1 / 1.1]) + (0, 0.1875 * 4, 0.1))
+    apart = local.beside(np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))[1]  # no less than the variance of a mean
+    assert np.allclose(apart, (0.5 + 0.25 * 9, 0.75 + 0.1875 * 4, 0.1 / 1.1 + 0.1))
