@@ -111,7 +111,7 @@ def by_learning(
 ) -> list[Answers]:  # fmt: skip
     """Maps of an engine, their tractions summed, and its map of the resultant."""
     name = {"linear": "LMMSE", "torch": "network"}[engine]
-    summed = learned(of, sets, engine, folder=folder, **settings)
+    summed = learned(of, sets, engine, folder=folder, unseen=(), **settings)
     direct = LearnedMap(of.model, engine=engine, output="resultant").fit(sets.training, **settings)
     return [
         *answered(f"{name}, summed", of, of_maps(summed.explained), sets),

@@ -19,14 +19,14 @@ from structures.errors import InputError, one_of
 from .. import _guards as guards
 from .._learning import outputs as outs
 from .._learning.adaptation import Adaptation, adapted, bias_of
-from .._learning.calibration import Factors, calibrated, grown, require_draws
+from .._learning.calibration import Factors, calibrated, grown, halved, require_draws
 from .._learning.checking import MapCheck, checked
 from .._learning.engine import ENGINES, Engine, engine
 from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
 from .._learning.posterior import HistoryPosterior, StaticPosterior, of_sums, over_time
-from .._learning.training import Lesson, has_gaps, require_fit, require_model, scale_of
+from .._learning.training import Lesson, drawn, has_gaps, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
@@ -99,7 +99,14 @@ class LearnedMap:
         self.outputs = Outputs.of(self.model, self.output)
         self._progress = Progress(progress)
 
-    def fit(self, training: Any, *, more: Sequence[tuple[Any, Any]] | None = None, **settings: Any) -> FittedMap:
+    def fit(
+        self,
+        training: Any,
+        *,
+        more: Sequence[tuple[Any, Any]] | None = None,
+        unseen: Sequence[str] = (),
+        **settings: Any,
+    ) -> FittedMap:
         """Learn the map from a training set.
 
         Parameters
@@ -108,6 +115,9 @@ class LearnedMap:
             Static readings or histories of the sensors and loads of the model.
         more : sequence of (record, known), optional
             As in `FittedMap.adapted`.
+        unseen : sequence of str, optional
+            Parameters of the draws that no reading tells, as the modulus of a gel: on either side of the median of
+            each, the band of static loads that act holds as often as it says.
         **settings
             Of the engine.
 
@@ -127,7 +137,7 @@ class LearnedMap:
         dt = training.dt
         self.model.require("static" if dt is None else "impulse_response", family="LearnedMap")
         scale = scale_of(training, self.model)
-        lesson = Lesson(parts[0], parts[1], parts[2], scale, self.outputs.matrix, dt)
+        lesson = Lesson(parts[0], parts[1], parts[2], scale, self.outputs.matrix, dt, tuple(unseen))
         learned = engine(self.engine).learn(lesson, progress=lambda f, t: self._progress(0.7 * f, t), **settings)
         self._progress(0.7, "what the examples are like")
         novelty = Novelty.learn(lesson)
@@ -470,7 +480,8 @@ def _calibrated(map_: FittedMap, lesson: Lesson, coverage: float) -> FittedMap:
         samples = 0 if lesson.dt is None else data.shape[1]
     reach = None if lesson.dt is None else map_.engine.reach
     off, mean, std = np.concatenate(errors), np.concatenate(means), np.concatenate(stds)
-    found = calibrated(off, mean, std, map_.outputs.group_of, coverage, reach, plain.share)
+    halves = halved(drawn(lesson.calibrating, lesson.unseen))
+    found = calibrated(off, mean, std, map_.outputs.group_of, coverage, reach, plain.share, halves)
     if lesson.dt is not None:
         std = found.multiplied(mean, std)
         along = over_time(np.divide(off, std, out=np.zeros_like(off), where=std > 0))

@@ -8,11 +8,15 @@ first made to say so (their section 5.2): by a share of the load itself, which o
 Most nodes of a surface carry nothing, and there a map errs as little as it answers. So static loads have a quantile for
 each class of size beside the largest of their kind in the same reading (Mondrian conformal prediction: V. Vovk, A.
 Gammerman & G. Shafer, Algorithmic Learning in a Random World, 2005, section 4.5), for those that act at least what
-these need: they are covered as often.
+these need: they are covered as often. What no reading tells, as the modulus of a gel, moves the loads of all nodes
+together. Nobody knows it of a new reading, so that loads that act have the largest of the factors that the draws need
+on either side of its median (equalized coverage: Y. Romano, R. F. Barber, C. Sabatti & E. J. Candes, Harvard Data Sci.
+Rev. 2.2, 2020): the band holds on either side, and on both together more often than it says.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Self
@@ -30,6 +34,7 @@ EACH = 1000  # draws from which every output of histories has a factor of its ow
 SIZES = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])  # between classes
 CLASS = 400  # numbers that a class has at least
 ACTS = 0.05  # of the largest load: smaller ones do not tell how errors grow
+HALF = 100  # draws on either side of a median at least
 TELLS = 200  # numbers from which it is told how errors go with the load
 ROUNDS = 12  # of weighted least squares
 LEAST = 1e-3  # of the variance that an engine states: so much is kept
@@ -164,8 +169,9 @@ def _share(off: Array, own: Array, load: Array) -> float:
 
 
 def calibrated(
-    errors: Array, mean: Array, std: Array, groups: NDArray[np.int_], coverage: float, reach: int | None, share: Array
-) -> Factors:
+    errors: Array, mean: Array, std: Array, groups: NDArray[np.int_], coverage: float, reach: int | None, share: Array,
+    halves: Sequence[NDArray[np.bool_]] = (),
+) -> Factors:  # fmt: skip
     """Factors by the errors of draws kept apart.
 
     Parameters
@@ -180,6 +186,8 @@ def calibrated(
         Samples around one that its load depends on; None of static readings.
     share : array (outputs,)
         As `Factors`; the std has it already.
+    halves : sequence of array of bool (draws,)
+        As `halved` makes them: in each of them static loads that act are covered.
     """
     # no factor widens the std of an output that no example loads, 0: W616 names it
     ratio = np.divide(np.abs(errors), std, out=np.zeros(np.shape(errors)), where=std > 0)
@@ -191,8 +199,10 @@ def calibrated(
         large = np.arange(len(inside)) > np.digitize(ACTS, SIZES)
         for group in np.unique(groups):
             seen = (std > 0) & (groups == group)
-            each = [_by_class(ratio[part], kind[part], coverage) for part in (seen, seen & acting)]
-            inside[:, groups == group] = np.where(large, np.maximum(*each), each[0])[:, None]
+            whole = _by_class(ratio[seen], kind[seen], coverage)
+            needed = [_by_class(ratio[part], kind[part], coverage) for part in (
+                seen & acting, *(some & one[:, None] for one in halves for some in (seen, seen & acting)))]  # fmt: skip
+            inside[:, groups == group] = np.where(large, np.max([whole, *needed], axis=0), whole)[:, None]
         return Factors(inside, empty, empty, share, groups)
     samples = ratio.shape[1]
     first, last = min(2 * reach, samples // 3), min(reach, samples // 3)
@@ -200,6 +210,12 @@ def calibrated(
     at = [_factor(_near(ratio, i, outputs), groups, coverage, each=False) for i in range(samples) if i < first]
     late = [_factor(_near(ratio, i, outputs), groups, coverage, each=False) for i in range(samples - last, samples)]
     return Factors(inside[None], np.stack(at) if at else empty, np.stack(late) if late else empty, share, groups)
+
+
+def halved(unseen: Sequence[Array]) -> list[NDArray[np.bool_]]:
+    """Draws (n,) on either side of the median of each of some parameters (n,), of those that leave enough on both."""
+    sides = [(values > np.median(values), values <= np.median(values)) for values in unseen]
+    return [side for both in sides if min(int(side.sum()) for side in both) >= HALF for side in both]
 
 
 def _by_class(ratio: Array, kind: NDArray[np.int_], coverage: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -30,6 +30,8 @@ class ExampleBatch(Protocol):
     def loads(self) -> Array: ...
     @property
     def noise(self) -> Array: ...
+    @property
+    def parameters(self) -> Mapping[str, Array]: ...
 
 
 class Training(Protocol):
@@ -72,6 +74,8 @@ class Lesson:
         Outputs of loads; None where they are the loads.
     dt : float or None
         Step in s of histories; None of static readings.
+    unseen : tuple of str
+        Drawn parameters that no reading tells.
     """
 
     fitting: Training
@@ -80,6 +84,7 @@ class Lesson:
     scale: Array
     resultant: Array | None = None
     dt: float | None = None
+    unseen: tuple[str, ...] = ()
 
     @property
     def outputs(self) -> int:
@@ -94,6 +99,14 @@ class Lesson:
     def of(self, loads: Array) -> Array:
         """Outputs of loads (..., loads)."""
         return loads if self.resultant is None else loads @ self.resultant.T
+
+
+def drawn(part: Training, names: Sequence[str]) -> list[Array]:
+    """Values (draws,) of those of some parameters that vary in a part of a training set."""
+    seen = [batch.parameters for batch in part.batches(BATCH)]
+    kept = [name for name in names if all(name in one for one in seen)]
+    values = [np.concatenate([np.asarray(one[name], float) for one in seen]) for name in kept]
+    return [x for x in values if np.ptp(x) > 0]
 
 
 def require_fit(training: Training, model: Model) -> None:

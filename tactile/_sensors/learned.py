@@ -42,6 +42,7 @@ NEAR = 0.35  # of the distance of markers, within which a marker is the one that
 AROUND = 4  # neighbours
 Z95 = 1.959964
 AXES = ("Fx", "Fy", "Fz")
+GEL = ("E", "nu", "thickness")  # what no motion tells
 GELS = 500  # presses that tell on which gels they were drawn
 SAME = 1e-6  # what two numbers of one gel may differ by
 
@@ -125,7 +126,7 @@ class LearnedSensor(MarkedSensor):
             Of the parts of the set, and of the network.
         progress : callable, optional
         **settings
-            Of the engine.
+            Of the engine; `unseen` as `loadid.LearnedMap.fit`, by default what was drawn of the gel.
 
         Raises
         ------
@@ -136,8 +137,8 @@ class LearnedSensor(MarkedSensor):
         model = SeenModel(sensor, columns_of(sensor, markers))
         learning = LearnedMap(model, engine=engine, seed=seed, progress=progress)
         places = sensor.geometry["coordinates"][sensor.kept[::3] // 3]
-        own = {"places": places, "seed": seed, "sums": sensor.resultant[: len(AXES)]}
-        fitted = learning.fit(training, **({**own, **settings} if engine == "torch" else settings))
+        own = {"places": places, "seed": seed, "sums": sensor.resultant[: len(AXES)]} if engine == "torch" else {}
+        fitted = learning.fit(training, **{"unseen": GEL, **own, **settings})
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[1:], sensor.resultant)
         facts = {**fitted.facts, "markers": markers, "resultant": band.tree(), "gels": drawn_gels(sensor, training)}
         return cls(sensor, replace(fitted, facts=facts))

@@ -3,6 +3,7 @@
 Presses of the case study `learned_skin`, on gels that are other than the sensor believes. Ways: the map as it is; with
 `Tolerances` of the gel; learned from gels drawn over a wide range (modulus within 25 %, nu .38 to .49); a depth map
 beside the markers; adapted by a few presses of known force on that gel. `gels` are presses on gels of that range.
+All maps have one band for all gels of their set (``unseen=()``), so that what is told beside it is seen.
 
 Run ``python -m tests.benchmarks.learned_gels [DRAWS] [depth] [network]``: 5000 draws by default, markers in the plane
 or a depth map too, by the linear map or by networks (extra ``learn``; two, a quarter of an hour of one core each). What
@@ -68,8 +69,8 @@ def main(draws: int = 5000, deep: bool = False, engine: str = "linear") -> None:
     sets, of = drawn(Path("learned_gels"), draws), sensor(deep=deep)
     training, wide = (part(sets.pop(name), of, slice(None)) for name in ("training", "wide"))
     tests = {name: part(kept, of, slice(None)) for name, kept in sets.items()}
-    plain = LearnedSensor.fit(of, training, engine=engine)
-    ways = {"as it is": plain, "wide set": LearnedSensor.fit(of, wide, engine=engine)}
+    plain = LearnedSensor.fit(of, training, engine=engine, unseen=())
+    ways = {"as it is": plain, "wide set": LearnedSensor.fit(of, wide, engine=engine, unseen=())}
     depth = None if of.depth is None else of.depth.template
     for name, known in KNOWN_TO.items():
         ways[name] = LearnedSensor(MultilayerPad(of.pad, eye=of.eye, depth=depth, tolerances=known), plain.fitted)

@@ -29,6 +29,9 @@ def test_the_demonstration_tells_and_draws_and_does_without_torch(
     assert "left out: the network" in _skin.text(done)
     assert errors["a plate, far too deep", "linear"].strange == 1.0
     assert errors["presses like these", "linear"].error < 0.9
+    assert 0.8 <= errors["presses like these", "linear"].held <= 1
+    assert errors["a ring, never seen", "linear"].strange < 0.5
+    assert "chosen to set it off" in _skin.text(done)
     assert (tmp_path / "map.png").stat().st_size > 20_000
     assert LearnedSensor.read(tmp_path / "map.h5", _skin.skin(0.1)).fitted.facts["draws"] == 400
 

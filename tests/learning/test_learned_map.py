@@ -87,6 +87,32 @@ def test_a_band_follows_the_size_of_the_load_where_errors_do():
     assert np.median(told.std[small]) < 0.2 * np.median(told.std[large])
 
 
+def test_what_no_reading_tells_is_held_on_either_side_of_its_median():
+    """Two gains that nobody reads: where both are low, bands of all draws together hold three loads of four."""
+    model, _ = plate()
+    rng = np.random.default_rng(3)
+
+    def drawn(n, lowest, highest):
+        gains = {name: rng.uniform(lowest, highest, n) for name in ("first", "second")}
+        truth = np.exp(rng.uniform(-2, 1.5, (n, 1))) * (1 + 0.1 * rng.standard_normal((n, 4)))
+        read = truth * (gains["first"] * gains["second"])[:, None] @ model.static().T
+        return Examples.measured(read + NOISE * rng.standard_normal((n, 8)), truth, noise=NOISE, parameters=gains)
+
+    training = TrainingSet.of(drawn(1500, 0.5, 1.5), sensors=model.sensors, loads=model.loads)
+    like, low = drawn(1500, 0.5, 1.5), drawn(1500, 0.65, 0.75)
+
+    def held(unseen):
+        one = LearnedMap(model).fit(training, unseen=unseen)
+        found = [(one.predict(seen.data), seen.loads) for seen in (like, low)]
+        return [float(np.mean(np.abs(told.mean - truth) <= 1.96 * told.std)) for told, truth in found]
+
+    (all_, corner), (all_more, corner_more) = held(("nobody drew this",)), held(("first", "second"))
+    assert 0.93 <= all_ <= 0.97
+    assert all_more <= 0.99
+    assert corner < 0.8
+    assert corner_more > 0.85
+
+
 def test_an_estimate_of_a_static_load_is_kept_with_its_posterior(tmp_path):
     found = static_map().estimate(presses(1, 3)[0][0])
     found.save(tmp_path / "load.h5")
