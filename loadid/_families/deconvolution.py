@@ -23,9 +23,9 @@ from .._inverse.choice import Choice, checked, choose, given, moved, named
 from .._inverse.constrained.nonnegative import NonNegativeSolution
 from .._inverse.diagnosis import identifiability
 from .._inverse.gaussian.coarse import confirm
-from .._inverse.path import RegularizationPath, Solution
+from .._inverse.path import Solution
 from .._inverse.penalties import order
-from .._inverse.support import ActingPosterior, SupportedPath
+from .._inverse.support import ActingPosterior
 from .._results.again import Again, Quick
 from .._results.estimate import LoadEstimate
 from .._results.facts import Facts, expecting
@@ -229,7 +229,7 @@ class Deconvolution:
     def _quick(self, fit: Settled, lam: float) -> Quick:
         posed, path = fit.posed, fit.posed.path
         sigma = noise_level(path, replace(fit.choice, lam=lam), posed.noise)
-        solution = self._in_windows(path.solution(lam, _level(path, lam, sigma)), fit.data.dt)
+        solution = self._in_windows(path.solution(lam, path.level_within(lam, sigma)), fit.data.dt)
         assert solution.posterior is not None
         load, std = solution.load, np.broadcast_to(solution.posterior.std, solution.load.shape)
         bias = identifiability.hidden(path, lam, load, std)
@@ -239,7 +239,7 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
     ) -> SolvedLoad:
         """The load with what is known of it; of loads that only push, that of the solver of signs."""
-        path, level = posed.path, _level(posed.path, choice.lam, sigma)
+        path, level = posed.path, posed.path.level_within(choice.lam, sigma)
         solution = self._in_windows(path.solution(choice.lam, level), data.dt)
         load = solution.load if pushed is None else pushed.load
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
@@ -388,11 +388,6 @@ class Deconvolution:
             "noise_source": posed.noise.source.text,
             "sensors": None if self.sensors is None else [str(s) for s in self.sensors],
         }
-
-
-def _level(path: RegularizationPath, lam: float, sigma: float) -> float:
-    """Noise level of the data that tell the load: of a load in windows, that of the samples in them."""
-    return path.level_within(lam, sigma) if isinstance(path, SupportedPath) else sigma
 
 
 def _prior(settings: PosingSettings) -> str:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from loadid import Deconvolution, datasets, read
+from loadid._commands.compare import compare
 from loadid._inverse.problem import LinearProblem
 from loadid._inverse.support import SupportedPath
 from structures import MeasuredModel
@@ -30,6 +31,19 @@ def test_the_band_holds_errors_of_the_hits_where_the_load_acts(seed: int, tmp_pa
         assert away[peak] < 1.96 * found.std[peak, 0] < 0.05 * truth[peak]
         assert found.std[inside, 0].min() < 0.01 * truth[peak]
         assert found.facts["window_level"] > 2
+
+
+def test_a_comparison_says_how_far_each_family_is_and_what_a_rule_lacks_in_words(tmp_path) -> None:
+    hit, said = datasets.hammer_test(tmp_path), []
+    model = MeasuredModel.from_hits([read(f) for f in hit.files[:3]], force="hammer", responses=["acc1", "acc2"],
+                                    gate=0.004)  # fmt: skip
+    found = compare(hit.files[3], model, families=["deconvolution", "first difference"],
+                    progress=lambda fraction, text: said.append((fraction, text)))  # fmt: skip
+    fractions = [fraction for fraction, _ in said]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert {"deconvolution: choosing lambda", "first difference: held out, choosing lambda"} <= {t for _, t in said}
+    assert "ebic needs a load of few pulses" in str(found)
 
 
 def test_the_level_where_a_load_acts_is_that_of_its_residual() -> None:
