@@ -104,7 +104,7 @@ def nearest(word: str, words: Iterable[str]) -> str | None:
     """
     known = {_bare(w): w for w in words}
     bare = _bare(word)
-    found = difflib.get_close_matches(bare, known, n=1, cutoff=0.6)
+    found = difflib.get_close_matches(bare, known, n=1, cutoff=0.61)  # "noise" is no "units"
     if not found and len(bare) >= 3:
         found = [w for w in known if w.startswith(bare)][:1]
     return known[found[0]] if found else None

@@ -45,6 +45,7 @@ examples:
     loadid compare log.csv --model model.h5 --families deconvolution,pushing,spikes --validation acc2 --plot loads.png
 """
 KIND = "comparison"
+Told = Callable[[float, str], None]  # as ``progress=``
 OUTPUTS = (".html", ".htm", ".h5")
 LOOKS, FEW = 6, 60  # curves that one chart tells apart; points below which they are dots
 HISTORIES: dict[str, tuple[str, dict[str, Any], str]] = {  # name -> family, settings, prior of `recommend`
@@ -298,18 +299,20 @@ def compare(
     kept = list(validation) if validation is not None else labels[-1:] if len(labels) > len(known.loads) else []
     record = responses_of(record, known, None)
     told = progress or (lambda fraction, text: None)
-    told(0.01, "families" if slow else "priors (slow)")
-    criteria = _criteria(known, record, noise, labels) if kind == "history" and not long else {}
+    part = 1 / (len(chosen) + 2)  # of the work: the criteria, each family, the rules
+    criteria = {}
+    if kind == "history" and not long:
+        criteria = _criteria(known, record, noise, labels, _part(told, 0.0, part, "priors (slow)"))
     rows, found = [], {}
     for k, (name, (family, own, prior)) in enumerate(chosen.items()):
-        told((k + 0.5) / (len(chosen) + 1), f"{name} (slow)" if name in SLOW else name)
-        row, estimate = _row(name, family, own, known, record, kept, noise)
+        said = _part(told, (k + 1) * part, part, f"{name} (slow)" if name in SLOW else name)
+        row, estimate = _row(name, family, own, known, record, kept, noise, said)
         if prior in criteria and not row.refused:
             row = FamilyRow(**{**asdict(row), "criterion": criteria[prior]})
         rows.append(row)
         if estimate is not None:
             found[name] = estimate
-    told(0.95, "rules")
+    told(1 - part, "rules")
     rules, verdict = _rules(known, record, noise, labels, kind)
     first = next(iter(found.values()), None)
     load = "no family answered" if first is None else f"largest load ({first.units[0]})"
@@ -318,8 +321,14 @@ def compare(
     return RecordComparison(load, tuple(kept), tuple(rows), rules, verdict, found, out, tuple(needy))
 
 
+def _part(told: Told, begin: float, share: float, name: str) -> Told:
+    """Progress of one part of the work, which names it."""
+    told(begin, name)
+    return lambda fraction, text: told(begin + share * fraction, f"{name}: {text}")
+
+
 def _row(
-    name: str, family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any
+    name: str, family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any, told: Told
 ) -> tuple[FamilyRow, LoadEstimate | None]:  # fmt: skip
     """One family on all sensors, and once more without those that are predicted."""
     import numpy as np
@@ -328,7 +337,7 @@ def _row(
 
     begun = time.process_time()
     try:
-        e = identify(record, model, family=family, noise=level, **own)
+        e = identify(record, model, family=family, noise=level, progress=lambda f, text: told(f / 2, text), **own)
     except (InputError, NotIdentifiable) as error:
         return FamilyRow(name, refused=str(error.what), cost=time.process_time() - begun), None
     cost = time.process_time() - begun
@@ -341,12 +350,13 @@ def _row(
         name, e.grade.letter, float(np.real(e.load[at])), float(e.std[at]), impulse,
         float(np.sqrt(np.mean(e.std**2)) / size) if size > 0 else None,
         float(np.linalg.norm(np.asarray(e.residual)) / max(float(np.linalg.norm(response)), 1e-300)),
-        _predicted(family, own, model, record, kept, level), None, cost,
+        _predicted(family, own, model, record, kept, level, lambda f, text: told(0.5 + f / 2, f"held out, {text}")),
+        None, cost,
     ), e  # fmt: skip
 
 
 def _predicted(
-    family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any
+    family: str, own: dict[str, Any], model: Model, record: Record, kept: list[str], level: Any, told: Told
 ) -> float | None:
     """Largest relative error of the sensors that are kept out; None where there are none, or the rest is refused."""
     from .identify import identify
@@ -355,18 +365,18 @@ def _predicted(
         return None
     rest = [s.label for s in model.sensors if s.label not in kept]
     try:
-        e = identify(record, model, family=family, sensors=rest, noise=level, **own)
+        e = identify(record, model, family=family, sensors=rest, noise=level, progress=told, **own)
         return max(predicted(e, model, record, kept).values())
     except (InputError, NotIdentifiable):
         return None
 
 
-def _criteria(model: Model, record: Record, level: Any, labels: list[str]) -> dict[str, float]:
+def _criteria(model: Model, record: Record, level: Any, labels: list[str], told: Told) -> dict[str, float]:
     """Criterion of each prior above the best; empty where the model carries no process."""
     from .._families.recommend import recommend
 
     try:
-        return recommend(model, record, noise=noise(level, labels, labels)).evidence
+        return recommend(model, record, noise=noise(level, labels, labels), progress=told).evidence
     except (InputError, NotIdentifiable):
         return {}
 

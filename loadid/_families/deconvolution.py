@@ -186,7 +186,7 @@ class Deconvolution:
             found = replace(found, not_told=nothing)
         if prior and isinstance(local, local_variance.Learned | local_variance.Smooth):
             choice, posed = local_variance.unasked(choice, local), local.posed
-        elif self.settings.unasked and posed.gains is not None:
+        elif posed.gains is not None and (self.settings.unasked or acting is not None):
             found = local_variance.widened_by_gains(found, posed, choice)
         elif self.settings.unasked and len(found.load) <= LONGEST:
             found = local_variance.widened(found, states(), choice)
@@ -229,7 +229,7 @@ class Deconvolution:
     def _quick(self, fit: Settled, lam: float) -> Quick:
         posed, path = fit.posed, fit.posed.path
         sigma = noise_level(path, replace(fit.choice, lam=lam), posed.noise)
-        solution = self._in_windows(path.solution(lam, sigma), fit.data.dt)
+        solution = self._in_windows(path.solution(lam, path.level_within(lam, sigma)), fit.data.dt)
         assert solution.posterior is not None
         load, std = solution.load, np.broadcast_to(solution.posterior.std, solution.load.shape)
         bias = identifiability.hidden(path, lam, load, std)
@@ -239,13 +239,15 @@ class Deconvolution:
         self, posed: Posed, choice: Choice, sigma: float, data: Data, pushed: NonNegativeSolution | None
     ) -> SolvedLoad:
         """The load with what is known of it; of loads that only push, that of the solver of signs."""
-        path, solution = posed.path, self._in_windows(posed.path.solution(choice.lam, sigma), data.dt)
+        path, level = posed.path, posed.path.level_within(choice.lam, sigma)
+        solution = self._in_windows(path.solution(choice.lam, level), data.dt)
         load = solution.load if pushed is None else pushed.load
         response, residual = posed.compare(load, choice.lam, None if pushed is None else pushed.start)
         width, lost = identifiability.resolution(path, choice.lam, load)
         facts = {
             "path": posed.name, "n": posed.unknowns, "resolution": width * data.dt, "resolution_unit": "s",
-            "peak_bias": lost, **({"missing": data.gaps} if data.gaps else {}),
+            "peak_bias": lost, **({"window_level": level / sigma} if level > sigma else {}),
+            **({"missing": data.gaps} if data.gaps else {}),
             **({} if pushed is None else pushing_facts(pushed, path.m, posed.noise.known)),
         }  # fmt: skip
         found = of_path(

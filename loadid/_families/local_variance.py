@@ -227,11 +227,11 @@ def widened_by_gains(found: SolvedLoad, posed: Posed, choice: Choice) -> SolvedL
 
     A load is off by no more than the worst of them; a residual that two standard deviations of them make is theirs.
     """
-    if posed.gains is None or posed.spectrum is None or found.posterior is None:
+    if posed.gains is None or found.posterior is None:
         return found
-    variance, one = np.diag(posed.gains.covariance), posed.spectrum
+    variance = np.diag(posed.gains.covariance)
     band = WidenedPosterior(found.posterior, np.sqrt(variance.max()) * found.load[None])
-    excess, theirs = found.excess, 4 * variance @ (one.weight @ np.abs(one.Y) ** 2)
+    excess, theirs = found.excess, 4 * float(variance @ posed.gains.energy)
     if excess is not None:
         left = float(posed.path.at(choice.lam).residual2) - theirs
         excess = beyond_noise(max(left, 0.0), posed.path.m, posed.noise)

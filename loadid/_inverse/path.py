@@ -186,6 +186,10 @@ class RegularizationPath:
         """Largest norm of what `solution` at `lam` may differ by from the exact one; None where it is exact."""
         return None
 
+    def level_within(self, lam: float, sigma: float) -> float:
+        """Noise level of the data that tell the load: `sigma`, or more where those show more than the others."""
+        return sigma
+
     def solution(self, lam: float, sigma: float | None) -> Solution:
         """Load coefficients and posterior at noise level `sigma` of the whitened data."""
         raise self._lack("solution")

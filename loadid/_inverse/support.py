@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import Array
+from .noise_level import unexplained
 from .path import Solution
 from .posterior import DensePosterior, Posterior, from_arrays
 from .problem import LinearProblem
 from .svd import SVDPath
+
+TOLD = 3.0  # degrees of freedom from which a residual tells a level
 
 
 class SupportedPath(SVDPath):
@@ -40,6 +43,18 @@ class SupportedPath(SVDPath):
     def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of that part of a load which acts."""
         return self._whole(super().resolve(load[self.acting], lam))
+
+    def level_within(self, lam: float, sigma: float) -> float:
+        """Noise level of the samples at which a load acts: `sigma`, or what their residual shows beyond all chance.
+
+        Errors of a model are where its load is, while noise fills the record. Its variance is the residual over what
+        the fit leaves of those data (the trace of I - A over them, A that which makes the fit of the data).
+        """
+        within = np.asarray(self.acting.any(axis=1))
+        passed = 1.0 - self.rejected(np.array([lam]))[0, : self.U.shape[1]]
+        left = (1.0 - (self.U**2) @ passed).reshape(len(within), -1)[within].sum()
+        residual2 = float(np.sum(self.residual(lam)[within] ** 2))
+        return sigma if left < TOLD else sigma * (unexplained(residual2, float(left), sigma) or 1.0)
 
     def _posterior(self, lam: float, sigma: float) -> DensePosterior:
         own = super()._posterior(lam, sigma)

@@ -159,11 +159,17 @@ class Sweep:
         return self.path.null > 0 and bool(self.lam[-1] >= 0.99 * LARGEST)
 
 
+INGREDIENTS = {
+    "fitted2": "a load of few pulses",
+    "log_supports": "a load of few pulses",
+}  # of rules, as people say them
+
+
 def need(point: PathPoint, name: str, rule: str) -> Array:
     """One ingredient of a rule, or the rule's refusal."""
     value: Array | None = getattr(point, name)
     if value is None:
-        raise Refusal(f"{rule} needs {name}, which this path does not define")
+        raise Refusal(f"{rule} needs {INGREDIENTS.get(name, name)}, which this path does not define")
     return value
 
 

@@ -93,6 +93,9 @@ class Facts(Mapping[str, Any]):
         Where no load is told from noise, of each load in its unit: the size from which it would have been in 95 % of
         all cases (peak of a hit in a record, static load, amplitude, spectrum, rms of a tracked load), and the rms of a
         wide-band load throughout.
+    window_level : float
+        Noise level where a load acts over that of the record, where the residual there shows more: errors of the model,
+        which the std holds.
     window_bound : float
         Bound on the error of solving in windows, over the std.
     frequency, length, time_constant : float
@@ -152,6 +155,7 @@ class Facts(Mapping[str, Any]):
     path: str | None = fact("solved by")
     told_from: tuple[float, ...] | None = fact("told from noise from (SI)", shown=False)
     told_from_throughout: tuple[float, ...] | None = fact("told from noise from, rms (SI)", shown=False)
+    window_level: float | None = fact("residual where the load acts / noise")
     window_bound: float | None = fact("bound on the error of solving in windows / std")
     resolution_unit: str | None = fact(shown=False)
     noise_level: float | None = fact(shown=False)

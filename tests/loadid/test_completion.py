@@ -88,6 +88,7 @@ def test_a_word_that_is_near_none_is_not_made_into_one(run):
     assert "did you mean" not in run("info", "a.csv", "--xyzzy")[2]
     assert nearest("q", ["gcv", "quasi"]) is None
     assert nearest("lcurve", ["l_curve", "gcv"]) == "l_curve"
+    assert nearest("noise", ["units"]) is None
 
 
 def test_quiet_prints_no_answer_and_no_progress(run, monkeypatch):

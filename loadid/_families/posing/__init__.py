@@ -22,6 +22,7 @@ from ..._inverse.svd import SVDPath
 from .. import noise as noises
 from ..data import Data
 from . import support
+from .model_errors import gains
 from .paths import MOST, TAPS, at_rest_in_place, coloured, convolved, convolved_measured, state_space_of, states
 from .posed import (
     AUTO,
@@ -151,7 +152,8 @@ def _measured_window(model: Model, data: Data, settings: PosingSettings) -> Pose
 
     layout = kappa, path.rank, max(count - path.rank, 0)
     compare = by_prediction(data.values, predict)
-    return Posed(path, white.noise, compare, data.values, "dense SVD", used, layout, None, count, path)
+    errors = gains(model, np.asarray(data.rows), settings.noise.errors or {}, np.sum(white.y**2, axis=0))
+    return Posed(path, white.noise, compare, data.values, "dense SVD", used, layout, None, count, path, gains=errors)
 
 
 def _windowed(model: Model, data: Data, settings: PosingSettings) -> tuple[str, StateSpace | None]:

@@ -30,10 +30,11 @@ ASSUMED = {"gain": 0.02, "frequency": 0.01, "damping": 0.2, "shape": 0.05}  # re
 
 @dataclass(frozen=True, eq=False)
 class GainErrors:
-    """Relative errors of the gains of sensors: their names and covariance (m, m)."""
+    """Relative errors of the gains of sensors: their names and covariance (m, m); energy (m,) of the whitened data."""
 
     names: tuple[str, ...]
     covariance: Array
+    energy: Array
 
 
 def nuisances(
@@ -80,7 +81,7 @@ def nuisances(
     return Nuisances(tuple(names[i] for i in kept), covariance[np.ix_(kept, kept)], of)
 
 
-def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> GainErrors | None:
+def gains(model: Model, rows: Array, stated: Mapping[str, float], energy: Array) -> GainErrors | None:
     """Errors of the gains of a measured model: as stated, as its repeats show, or as assumed; None where none.
 
     What is assumed is the mean of an inverse gamma prior of their variance, of `DOUBT` degrees of freedom.
@@ -91,6 +92,8 @@ def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> GainErrors 
         Sensors of the model that are used.
     stated : mapping of str to float
         Relative std; only that of ``gain`` counts.
+    energy : array, shape (sensors,)
+        Of the whitened data of each.
     """
     size, m = stated.get("gain"), len(rows)
     shown, hits = model.gain_covariance, sum(hit.used for hit in model.hits)
@@ -101,7 +104,7 @@ def gains(model: Model, rows: Array, stated: Mapping[str, float]) -> GainErrors 
         covariance *= (stdtrit(degrees, 0.975) / ndtri(0.975)) ** 2  # few repeats: Student's tails, at 95 %
     if not np.any(covariance):
         return None
-    return GainErrors(tuple(f"gain of {model.sensors[i].label}" for i in rows), covariance)
+    return GainErrors(tuple(f"gain of {model.sensors[i].label}" for i in rows), covariance, energy)
 
 
 def _modes(model: Model, system: StateSpace) -> int:

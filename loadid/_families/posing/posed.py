@@ -371,9 +371,11 @@ def measured_lines(model: Model, data: Data, settings: PosingSettings) -> Posed:
     variance = model.frf_variance(f)
     variance = None if variance is None else variance[:, data.rows]
     noise = _measured_noise(model, data, settings, H[:, data.rows], model.noise_spectrum(f))
-    wrong = gains(model, np.asarray(data.rows), settings.noise.errors or {})
     h = h[: min(samples, model.samples or samples)]
-    return replace(_lines(H, h, data.values, noise, data, settings, variance), gains=wrong)
+    posed = _lines(H, h, data.values, noise, data, settings, variance)
+    assert posed.spectrum is not None
+    energy = posed.spectrum.weight @ np.abs(posed.spectrum.Y) ** 2
+    return replace(posed, gains=gains(model, np.asarray(data.rows), settings.noise.errors or {}, energy))
 
 
 def measured_response(
