@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 REACH = 0.2  # of a spacing, of the first steps
-TOLERANCE, FLAT = 1e-4, 1e-3  # of a spacing, and of the evidence, below which a step is the last
+TOLERANCE, FLAT = 1e-3, 1e-2  # of a spacing, and of the evidence, below which a step is the last: a seventh of a std
 
 
-def highest(evidence: Callable[[Array], float], start: Array, box: Array, spacing: float) -> tuple[float, Array]:
+def highest(
+    evidence: Callable[[Array], float], start: Array, box: Array, spacing: float, *, rough: float = 1.0
+) -> tuple[float, Array]:
     """The largest evidence near a start, and where it is: J. Nelder & R. Mead, Comput. J. 7 (1965) 308.
 
     Parameters
@@ -24,11 +26,13 @@ def highest(evidence: Callable[[Array], float], start: Array, box: Array, spacin
         Bounds.
     spacing : float
         Length of the coordinates.
+    rough : float
+        Times the tolerance.
     """
     from scipy.optimize import minimize
 
     step = np.where(start + REACH * spacing <= box[:, 1], REACH, -REACH) * spacing
     found = minimize(lambda at: -evidence(at), start, method="Nelder-Mead", bounds=box,
                      options={"initial_simplex": np.vstack([start, start + np.diag(step)]),
-                              "xatol": TOLERANCE * spacing, "fatol": FLAT})  # fmt: skip
+                              "xatol": rough * TOLERANCE * spacing, "fatol": rough * FLAT})  # fmt: skip
     return -float(found.fun), np.asarray(found.x)

@@ -25,7 +25,7 @@ from .nuisances import STEP, Nuisances
 Array = NDArray[np.float64]
 RecordAt = Callable[[Array], WhitenedRecord]
 TURNS, UPDATES = 4, 4  # of variances and place at most; of the variances at a place that is tried
-SETTLED = 1e-4  # of a spacing, below which a turn is the last
+SETTLED = 3e-3  # of a spacing, below which a turn is the last
 UNTOLD = 1e-3  # share of the variance of a place, below which the data tell nothing
 ANYWHERE = 10.0  # spacings: std of a place before the data
 

@@ -28,7 +28,7 @@ ENERGY = 16  # samples over which the energy of a channel is averaged
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.2)  # of the energy, that are errors of the model: relative std
 VARIANCES = np.logspace(-4, 8, 25)  # of the history, in units of the noise over the largest singular value
 LEAST = 1e-8  # of the mean square of a channel, that is noise
-STARTS = 3  # candidates from which the place is refined
+STARTS, ROUGH = 3, 10.0  # candidates from which the place is refined, times the tolerance of a place that is the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def early_places(
 
     told = np.array([early.evidence(h[:samples, :, j]) for j in range(len(places))])
     starts = np.argsort(-told, kind="stable")[:STARTS]
-    found = [highest(evidence, np.clip(places[j], *box.T), box, spacing) for j in starts]
+    found = [highest(evidence, np.clip(places[j], *box.T), box, spacing, rough=ROUGH) for j in starts]
     return sorted(found, key=lambda one: -one[0])
 
 
