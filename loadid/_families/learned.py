@@ -26,7 +26,7 @@ from .._learning.linear import SPAN, span_facts
 from .._learning.novelty import Novelty, Verdict
 from .._learning.outputs import Outputs
 from .._learning.posterior import HistoryPosterior, StaticPosterior, of_sums, over_time
-from .._learning.training import Lesson, drawn, has_gaps, require_fit, require_model, scale_of
+from .._learning.training import Lesson, drawn, has_gaps, require_drawn, require_fit, require_model, scale_of
 from .._results.estimate import Axis, LoadEstimate
 from .._results.facts import Facts, provenance
 from .._spellings import Progress
@@ -128,10 +128,12 @@ class LearnedMap:
         Raises
         ------
         InputError
-            A set of other sensors, loads, units or model, with NaN, too small, or one that does not span the loads.
+            A set of other sensors, loads, units or model, with NaN, too small, or one that does not span the loads;
+            names of no parameters.
         """
         require_fit(training, self.model)
         require_model(training, self.model)
+        require_drawn(training, unseen)
         parts = training.split(PARTS, self.seed)
         require_draws(len(parts[2]))
         dt = training.dt

@@ -109,6 +109,29 @@ def drawn(part: Training, names: Sequence[str]) -> list[Array]:
     return [x for x in values if np.ptp(x) > 0]
 
 
+def parameter_names(training: Training) -> tuple[str, ...]:
+    """Names of what was drawn beside the loads."""
+    return tuple(next(iter(training.batches(1))).parameters)
+
+
+def require_drawn(training: Training, names: Sequence[str]) -> None:
+    """Nothing, if parameters of these names were drawn.
+
+    Raises
+    ------
+    InputError
+    """
+    known = parameter_names(training)
+    given = [names] if isinstance(names, str) else list(names)
+    unknown = [str(name) for name in given if name not in known]
+    if unknown or isinstance(names, str):
+        raise InputError(
+            "no parameters of the draws", where="unseen", found=", ".join(unknown) or repr(names),
+            expected=f"names among {', '.join(known) or 'none: nothing was drawn beside the loads'}",
+            hint="unseen=[...], or leave it out",
+        )  # fmt: skip
+
+
 def require_fit(training: Training, model: Model) -> None:
     """Nothing, if a training set has the sensors and the loads of a model, in their units and order.
 

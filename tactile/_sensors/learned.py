@@ -24,6 +24,7 @@ from loadid._families.learned import PARTS, FittedMap, LearnedMap, load_map
 from loadid._guards import outside_training
 from loadid._learning.calibration import grown, quantile
 from loadid._learning.outputs import words
+from loadid._learning.training import parameter_names
 from loadid._results.facts import provenance
 from structures._flags import Flag
 from structures.errors import InputError
@@ -138,7 +139,8 @@ class LearnedSensor(MarkedSensor):
         learning = LearnedMap(model, engine=engine, seed=seed, progress=progress)
         places = sensor.geometry["coordinates"][sensor.kept[::3] // 3]
         own = {"places": places, "seed": seed, "sums": sensor.resultant[: len(AXES)]} if engine == "torch" else {}
-        fitted = learning.fit(training, **{"unseen": GEL, **own, **settings})
+        unseen = [name for name in GEL if name in parameter_names(training)]
+        fitted = learning.fit(training, **{"unseen": unseen, **own, **settings})
         band = ResultantBand.calibrated(fitted, training.split(PARTS, seed)[1:], sensor.resultant)
         facts = {**fitted.facts, "markers": markers, "resultant": band.tree(), "gels": drawn_gels(sensor, training)}
         return cls(sensor, replace(fitted, facts=facts))

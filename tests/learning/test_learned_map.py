@@ -106,11 +106,14 @@ def test_what_no_reading_tells_is_held_on_either_side_of_its_median():
         found = [(one.predict(seen.data), seen.loads) for seen in (like, low)]
         return [float(np.mean(np.abs(told.mean - truth) <= 1.96 * told.std)) for told, truth in found]
 
-    (all_, corner), (all_more, corner_more) = held(("nobody drew this",)), held(("first", "second"))
+    (all_, corner), (all_more, corner_more) = held(()), held(("first", "second"))
     assert 0.93 <= all_ <= 0.97
     assert all_more <= 0.99
     assert corner < 0.8
     assert corner_more > 0.85
+    for names, what in ((("frist",), "frist"), ("first", "'first'")):
+        with pytest.raises(InputError, match=rf"no parameters of the draws.*{what}.*first, second"):
+            LearnedMap(model).fit(training, unseen=names)
 
 
 def test_an_estimate_of_a_static_load_is_kept_with_its_posterior(tmp_path):

@@ -135,17 +135,17 @@ def by_evidence(
     hold : str or None
     """
     whole = HitProblem(posed, grid, hold, slice(0, len(posed.data.values)), posed.noise.known)
-    possible, early, told = whole.possible(found), None, []
+    possible = whole.possible(found)
     wrong = residual_to_noise is None or residual_to_noise > NEAR
-    if len(found) == 1 and (wrong or not possible):
-        early = early_response(posed.y, None if posed.sigma is None else posed.sigma**2)
-    near = None if early is None else replace(whole, part=early.part, stated=False)
-    if early is not None and near is not None and near.possible(found):
+    sought = len(found) == 1 and (wrong or not possible)
+    early = early_response(posed.y, None if posed.sigma is None else posed.sigma**2) if sought else None
+    near, told = whole if early is None else replace(whole, part=early.part, stated=False), []
+    if early is not None and near.possible(found):
         places = grid.places[:, grid.used]
         told = early_places(early, places, posed.h, posed.whitened, whole.box, grid.spacing)
     starts = [place[None] for _, place in told]
     best = whole.found([*starts, *_starts(found, grid.spacing, rivals)], early=False) if possible else None
-    if early is not None and near is not None and told and (best is None or best.prior.misfit > UNKNOWN):
+    if early is not None and told and (best is None or best.prior.misfit > UNKNOWN):
         sooner = near.found(starts, early=True)
         if sooner is not None:
             beside = _rivals(posed, early, told, sooner.place, grid)
