@@ -20,7 +20,7 @@ ALIKE = 0.5  # coherence of what should be equal, below which it tells no gain
 
 
 @dataclass(frozen=True, eq=False)
-class Gains:
+class HitGains:
     """FRFs of hits over those of most of them.
 
     Parameters
@@ -68,8 +68,8 @@ def _factor(gain: float) -> str:
     return f"is {gain:.2g} times"
 
 
-def compared(force: Real, responses: Real) -> Gains:
-    """Gains of hits from their forces (hits, samples) and responses (hits, samples, sensors), each FRF against one.
+def compared(force: Real, responses: Real) -> HitGains:
+    """HitGains of hits from their forces (hits, samples) and responses (hits, samples, sensors), each FRF against one.
 
     Without a division by a force: where two hits have one FRF, ``F_1 Y_2 = F_2 Y_1``.
     """
@@ -85,7 +85,7 @@ def compared(force: Real, responses: Real) -> Gains:
             break
     size = np.exp(_middle(np.log(np.abs(ratio))))
     turned = np.where(_middle(np.sign(ratio)) < 0, -1.0, 1.0)
-    return Gains(ratio / (size * turned))
+    return HitGains(ratio / (size * turned))
 
 
 def _ratio(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Real:
@@ -135,7 +135,7 @@ def contradicting(
     return reasons if reject else {}, (Flag("W223", evidence, said + kept),)
 
 
-def _extremes(gains: Gains, names: Sequence[str], sensors: Sequence[str]) -> str:
+def _extremes(gains: HitGains, names: Sequence[str], sensors: Sequence[str]) -> str:
     """The two hits that are furthest apart."""
     s = int(np.argmax(gains.off.max(axis=0)))
     own = np.where(np.isfinite(gains.each[:, s]), gains.each[:, s], 1.0)

@@ -51,7 +51,7 @@ class Placed:
 
 
 @dataclass(frozen=True, eq=False)
-class HitProblem:
+class PlaceProblem:
     """A part of a record whose loads may be moved, over the states of the model; everything rests before it.
 
     Parameters
@@ -134,7 +134,7 @@ def by_evidence(
         Relative std of errors of the model.
     hold : str or None
     """
-    whole = HitProblem(posed, grid, hold, slice(0, len(posed.data.values)), posed.noise.known)
+    whole = PlaceProblem(posed, grid, hold, slice(0, len(posed.data.values)), posed.noise.known)
     possible = whole.possible(found)
     wrong = residual_to_noise is None or residual_to_noise > NEAR
     sought = len(found) == 1 and (wrong or not possible)
