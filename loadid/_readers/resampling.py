@@ -91,12 +91,14 @@ def onto_one_clock(
                           f"{rate:g} Hz, {name} at {least} Hz", f"{least} Hz or more",
                           Advice("state it: ", either(f"fs={least}", f"--fs {least}"),
                                  "; low-pass the record before fewer samples of it are taken"))  # fmt: skip
+    if len(tables) == 1:  # before a damaged stamp, years later, costs a grid of all the time before it
+        steps = np.diff(clocks[0])
+        lost = float(steps[_gaps(clocks[0], np.arange(len(steps) + 1))].sum())
+        _require_few(lost * rate, count, source)
     grid = begin + np.arange(int(count + ROUNDING) + 1) / rate
     found = [resampled(t, np.asarray(x.values, float), grid) for t, x in zip(clocks, tables, strict=True)]
-    gone = int(np.isnan(found[0].values).any(axis=1).sum())
-    if len(tables) == 1 and gone > MISSING * len(grid):
-        source.refuse("too many samples are missing", f"{gone} of {len(grid)} in gaps", f"at most {MISSING:.0%}",
-                      "cut the record at the gap")  # fmt: skip
+    if len(tables) == 1:
+        _require_few(np.isnan(found[0].values).any(axis=1).sum(), len(grid), source)
     labels = [n for t in tables for n in t.columns or ()]
     columns = [n if labels.count(n) == 1 else f"{n} ({t.name})" for t in tables for n in t.columns or ()]
     values = np.column_stack([one.values for one in found])
@@ -121,6 +123,13 @@ def onto_one_clock(
         notes=tuple(notes), start=None if start is None else start + begin - float(clocks[0][0]),
     )  # fmt: skip
     return table, 1 / rate
+
+
+def _require_few(gone: float, samples: float, source: Source) -> None:
+    """Nothing, unless too many samples of a grid lie in gaps."""
+    if gone > MISSING * samples:
+        source.refuse("too many samples are missing", f"{gone:.0f} of {samples:.0f} in gaps", f"at most {MISSING:.0%}",
+                      "cut the record at the gap, or repair the time stamp after it")  # fmt: skip
 
 
 def _said(name: str, t: Array, found: Resampled, grid: Array, rate: float) -> list[str]:
@@ -188,7 +197,7 @@ def _gaps(t: Array, place: NDArray[np.int64]) -> NDArray[np.int64]:
     from scipy.ndimage import median_filter
 
     steps = np.diff(t)
-    return np.flatnonzero((steps > GAP * median_filter(steps, NEIGHBOURS, mode="nearest")) | (np.diff(place) > 1))
+    return np.flatnonzero((steps > GAP * median_filter(steps, NEIGHBOURS, mode="mirror")) | (np.diff(place) > 1))
 
 
 def _spline(t: Array, values: Array, at: Array) -> Array:

@@ -1,6 +1,7 @@
 """Uneven stamps and several clocks on one even grid: held against closed forms, between and at the samples."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -227,3 +228,26 @@ def test_groups_of_an_mdf_file_with_uneven_masters(tmp_path):
     at = max(t[0], s[0]) + record.time
     for name, tol in (("a", 1e-4), ("b", 0.02)):
         np.testing.assert_allclose(record[name] / 9.80665, truth(at), atol=tol * np.std(truth(t)))
+
+
+def test_a_stamp_hours_later_is_refused_before_a_grid_is_made(tmp_path):
+    t = np.arange(100) / 1000.0
+    path = table(tmp_path / "late.csv", np.append(t, 70150.0), np.sin(np.append(t, 0.1)), names=("time [s]", "F [N]"))
+    tracemalloc.start()
+    with pytest.raises(InputError, match="too many samples are missing.*repair the time stamp"):
+        loadid.read(path, fs=1000.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6  # 70 million samples were made before they were counted
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_a_gap_before_a_lone_sample_at_an_end_is_no_sample(end):
+    t = np.append(jittered(11, 300), 4.0)
+    t = t if end == "last" else 4.0 - t[::-1]
+    grid = np.arange(t[0], t[-1], 0.01)
+    found = resampled(t, np.sin(t)[:, None], grid)
+    assert found.gaps == 1
+    gone = np.isnan(found.values[:, 0])
+    assert gone[-95:-1].all() if end == "last" else gone[1:95].all()
+    assert gone.sum() < 105
