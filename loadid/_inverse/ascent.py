@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-REACH = 0.2  # of a spacing, of the first steps
-TOLERANCE, FLAT = 1e-3, 1e-2  # of a spacing, and of the evidence, below which a step is the last: a seventh of a std
+REACH, TOLERANCE = 0.2, 3e-3  # of a spacing: radii of the trust region, at first and at last
 
 
 def highest(
     evidence: Callable[[Array], float], start: Array, box: Array, spacing: float, *, rough: float = 1.0
 ) -> tuple[float, Array]:
-    """The largest evidence near a start, and where it is: J. Nelder & R. Mead, Comput. J. 7 (1965) 308.
+    """The largest evidence near a start, and where it is, by quadratic models of it in a trust region.
+
+    T. M. Ragonneau & Z. Zhang, COBYQA (2022); a simplex takes three times as many evaluations here.
 
     Parameters
     ----------
@@ -31,8 +32,6 @@ def highest(
     """
     from scipy.optimize import minimize
 
-    step = np.where(start + REACH * spacing <= box[:, 1], REACH, -REACH) * spacing
-    found = minimize(lambda at: -evidence(at), start, method="Nelder-Mead", bounds=box,
-                     options={"initial_simplex": np.vstack([start, start + np.diag(step)]),
-                              "xatol": rough * TOLERANCE * spacing, "fatol": rough * FLAT})  # fmt: skip
-    return -float(found.fun), np.asarray(found.x)
+    found = minimize(lambda at: -evidence(at * spacing), start / spacing, method="COBYQA", bounds=box / spacing,
+                     options={"initial_tr_radius": REACH, "final_tr_radius": rough * TOLERANCE})  # fmt: skip
+    return -float(found.fun), np.clip(found.x * spacing, *box.T)

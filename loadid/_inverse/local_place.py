@@ -25,6 +25,7 @@ from .nuisances import STEP, Nuisances
 Array = NDArray[np.float64]
 RecordAt = Callable[[Array], WhitenedRecord]
 TURNS, UPDATES = 4, 4  # of variances and place at most; of the variances at a place that is tried
+LIKELIEST = 4  # starts, by the variances of the first, whose own are learned
 SETTLED = 3e-3  # of a spacing, below which a turn is the last
 UNTOLD = 1e-3  # share of the variance of a place, below which the data tell nothing
 ANYWHERE = 10.0  # spacings: std of a place before the data
@@ -114,7 +115,10 @@ def evident_place(
         fit.climb(UPDATES, missing=fit.misfit2 > 0)
         return fit
 
-    tried = [(learned(prior.fit, at), at) for at in starts]
+    given = prior.fit.variances()
+    told = [smoothed(heard(at), given).evidence for at in starts]
+    likeliest = sorted(range(len(starts)), key=lambda i: -told[i])[:LIKELIEST]
+    tried = [(learned(prior.fit, starts[i]), starts[i]) for i in likeliest]
     fit, place = max(tried, key=lambda one: one[0].evidence)
     for _ in range(TURNS):
         before, place = place, _moved(fit, heard, place, box, spacing)

@@ -13,7 +13,7 @@ from structures._models.statespace import StateSpace
 from ..._inverse.convolved.early import EarlyResponse, early_places, early_response
 from ..._inverse.gaussian.record import WhitenedRecord, augment, measured
 from ..._inverse.local_place import EvidentPlace, evident_place
-from ..._inverse.local_prior import UNKNOWN
+from ..._inverse.local_prior import UNKNOWN, local_prior, with_misfit
 from ..._results.location import Rival
 from .locating import NEAR, Grid, LocationProblem
 from .model_errors import nuisances
@@ -88,6 +88,10 @@ class PlaceProblem:
         clipped = [np.clip(one, *self.box.T) for one in starts]
         return evident_place(clipped, self._record, self.box, self.grid.spacing, stated=self.stated, early=early)
 
+    def misfit(self, at: Array) -> float:
+        """Error of the model over the response, by loads at places."""
+        return with_misfit(local_prior(self._record(at), stated=self.stated)).misfit
+
     def placed(self, best: EvidentPlace, errors: Mapping[str, float]) -> Placed:
         """With second moments that hold errors of the model, of relative std as stated."""
         model, there = self.posed.candidates.at(best.place), self._system(best.place)
@@ -144,13 +148,14 @@ def by_evidence(
         places = grid.places[:, grid.used]
         told = early_places(early, places, posed.h, posed.whitened, whole.box, grid.spacing)
     starts = [place[None] for _, place in told]
-    best = whole.found([*starts, *_starts(found, grid.spacing, rivals)], early=False) if possible else None
-    if early is not None and told and (best is None or best.prior.misfit > UNKNOWN):
-        sooner = near.found(starts, early=True)
-        if sooner is not None:
-            beside = _rivals(posed, early, told, sooner.place, grid)
-            return replace(near.placed(sooner, errors), by="first part of its response", rivals=beside,
-                           misfit=sooner.prior.misfit)  # fmt: skip
+    sooner = near.found(starts, early=True) if told else None
+    best = None
+    if possible and (sooner is None or whole.misfit(sooner.place) <= UNKNOWN):
+        best = whole.found([*starts, *_starts(found, grid.spacing, rivals)], early=False)
+    if early is not None and sooner is not None and (best is None or best.prior.misfit > UNKNOWN):
+        beside = _rivals(posed, early, told, sooner.place, grid)
+        return replace(near.placed(sooner, errors), by="first part of its response", rivals=beside,
+                       misfit=sooner.prior.misfit)  # fmt: skip
     return None if best is None else whole.placed(best, errors)
 
 
