@@ -12,6 +12,7 @@ from .._channels import Channel
 from .._flags import Evidence, Flag
 from ..errors import InputError, number, positive
 
+TOLD, AROUND = 3.0, 20  # mean square of an FRF over its variance from which on it is told; lines on each side
 BLOCK = 4_000_000  # numbers that are transformed at once
 
 
@@ -48,6 +49,27 @@ def smooth_lines(power: NDArray[Any], half: int, *, own: bool = True) -> NDArray
     kernel = np.hanning(2 * half + 3)[1:-1]
     kernel[half] *= own
     return np.asarray(convolve1d(np.asarray(power, float), kernel / kernel.sum(), axis=0, mode="mirror"))
+
+
+def without_error(
+    H: NDArray[Any], variance: NDArray[np.float64]
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """FRFs that are as likely too large as too small, and their variance.
+
+    What noise makes of an FRF that is zero takes part in no load: a regression on it finds next to none (errors in
+    variables; W. Fuller, Measurement Error Models, 1987). Each line is shrunk by the share of its mean square that is no
+    error (N. Wiener, 1949). Below the first line that is told the FRF is any of that size.
+
+    Parameters
+    ----------
+    H : array, shape (lines, sensors, loads)
+    variance : array, shape (lines, sensors, loads)
+    """
+    square, error = smooth_lines(np.abs(H) ** 2, AROUND), smooth_lines(variance, AROUND)
+    unknown = np.cumsum(square > TOLD * error, axis=0) == 0
+    share = 1.0 - np.minimum(np.divide(error, square, out=np.zeros_like(error), where=square > 0), 1.0)
+    share = np.where(unknown, 0.0, share)
+    return share * H, np.where(unknown, square, share * variance)
 
 
 def resample_lines(H: NDArray[Any], padded: int) -> NDArray[np.complex128]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from structures._testing.spectra import multiplicity, padded_length, resample_lines, smooth_lines
+from structures._testing.spectra import multiplicity, padded_length, resample_lines, smooth_lines, without_error
 
 from .impacts import DT, response, transfer
 
@@ -69,3 +69,24 @@ class TestResample:
         expected = np.zeros(1024)
         expected[[0, 1, -1, -2]] = 1.0, 0.5, 0.2, -0.1
         assert wide == pytest.approx(expected, abs=1e-12)
+
+
+def test_frfs_without_their_errors_are_as_likely_too_large_as_too_small() -> None:
+    rng = np.random.default_rng(4)
+    f = np.linspace(0, 1, 801)[:, None, None]
+    true = f**2 * np.exp(2j * np.pi * 3 * f)  # of an accelerometer
+    error = 0.01 * np.ones((801, 40, 1))
+    noise = np.sqrt(error / 2) * (rng.standard_normal(error.shape) + 1j * rng.standard_normal(error.shape))
+    found, variance = without_error(true + noise, error)
+    slope = {}
+    for name, H, v in (("measured", true + noise, error), ("told", found, variance)):
+        part = slice(180, 320)  # between a third and once the error
+        slope[name] = np.sum((H.conj() * true)[part].real) / np.sum((np.abs(H) ** 2 + 0 * v)[part])
+    assert slope["measured"] < 0.65  # a load is told so much too small
+    assert abs(slope["told"] - 1) < 0.15
+    assert not found[:80].any()  # where nothing is told
+    assert np.all(variance[:80] >= 0.5 * np.abs(true[:80]) ** 2)
+    np.testing.assert_allclose(found[-100:], (true + noise)[-100:], rtol=0.02)
+    same, none = without_error(true + noise, 0 * error)
+    np.testing.assert_array_equal(same, true + noise)
+    assert not none.any()

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, linalg
 
-from structures._testing.spectra import multiplicity, smooth_lines
+from structures._testing.spectra import multiplicity, smooth_lines, without_error
 from structures.errors import InputError
 
 from ..local_prior import (
@@ -90,11 +90,17 @@ class Spectrum:
 
     @classmethod
     def of(cls, path: SpectralPath) -> Spectrum:
-        """That of a path; lines at which the force of the test was zero, and its quotient is none, say nothing."""
+        """That of a path; lines at which the force of the test was zero, and its quotient is none, say nothing.
+
+        Nor do those whose FRF is no more than its error: see `structures._testing.spectra.without_error`.
+        """
         largest = np.abs(path.H).max(axis=(1, 2), keepdims=True)
         told = largest < QUOTIENT * np.median(largest)
         H, Y = np.where(told, path.H, 0.0), np.where(told[..., 0], path.Y, 0.0)
-        return cls(H, Y, path.samples, path.padded, path.variance, path.excess)
+        if path.variance is None:
+            return cls(H, Y, path.samples, path.padded, None, path.excess)
+        H, variance = without_error(H, path.samples * path.variance)
+        return cls(H, Y, path.samples, path.padded, variance / path.samples, path.excess)
 
     @cached_property
     def weight(self) -> Array:
