@@ -38,6 +38,7 @@ FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 LEAST = 0.1  # of the variance of loads that may lie anywhere: what one about a contact has at least
 PARTS = 4  # sets of readings that are kept
 MANY = 8  # discs, of which loads that only press are averaged
+TEMPERED = (1.4, 2.0)  # times the noise, of which they are averaged too
 INNER = (
     4.0  # log evidence of what a contact must bring that is for its size and ratios, where these count by themselves
 )
@@ -208,14 +209,27 @@ class ContactFit(ContactSearch):
     def pressed(self, z: Array, local: LocalLoad, friction: float | None, normals: Array | None = None) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone.
 
-        Those of several discs are averaged by their evidence: what presses, or lies in a cone, still does on average.
-        `normals` (P, 3) are those of a curved surface.
+        What a model errs by under a contact no far marker shows, and a load in its cone fits it: the likelihood is
+        tempered (P. Grünwald & T. van Ommen, Bayesian Anal. 12 (2017) 1069), as long as contacts are found. As the best
+        temper is not known, loads of several are averaged; the band is that of `local`. `normals` (P, 3) are those of a
+        curved surface.
         """
         seen = np.isfinite(z)
         if not seen.all():
             return self.on(seen).pressed(z[seen], local, friction, normals)
+        here, parts = local, []
+        for times in TEMPERED:
+            found = self.contacts(z / (times * local.wide))
+            if found:
+                here = replace(local, likely=_likely(found), wide=times * local.wide)
+            parts.append(self.within_cone(z, here, friction, normals))
+        load, converged = np.mean([p.load for p in parts], axis=0), all(p.converged for p in parts)
+        return replace(parts[0], load=load, steps=sum(p.steps for p in parts), converged=converged)
+
+    def within_cone(self, z: Array, local: LocalLoad, friction: float | None, normals: Array | None = None) -> Pressed:
+        """The load about contacts as they are: what presses, or lies in a cone, does on the average of `likely`."""
         found = [self._pressed(z, f, local.wide, friction, normals) for _, f in local.likely]
-        load = sum((w * p.load for (w, _), p in zip(local.likely, found, strict=True)), np.zeros(len(local.load)))
+        load = np.asarray(sum(w * p.load for (w, _), p in zip(local.likely, found, strict=True)))
         return Pressed(load, local.std, local.wrench, sum(p.steps for p in found), all(p.converged for p in found))
 
     def _pressed(self, z: Array, f: Fitted, wide: float, friction: float | None, normals: Array | None) -> Pressed:

@@ -15,7 +15,7 @@ from structures._threads import threads
 from tactile import Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import Fitted
-from tactile._sensors.local import SPREAD, ContactFit, LocalLoad, _reach
+from tactile._sensors.local import SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -291,13 +291,35 @@ def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
     assert len(local.likely) > 1
     assert np.isclose(sum(w for w, _ in local.likely), 1.0)
     assert local.likely[0][1].discs == local.best.discs
-    one, other = (f.pressed(z, replace(local, likely=((1.0, g),)), 0.8) for _, g in local.likely[:2])
+    one, other = (f.within_cone(z, replace(local, likely=((1.0, g),)), 0.8) for _, g in local.likely[:2])
     both = replace(local, likely=tuple((w, g) for w, (_, g) in zip((0.25, 0.75), local.likely, strict=False)))
-    found = f.pressed(z, both, 0.8)
+    found = f.within_cone(z, both, 0.8)
     assert np.allclose(found.load, 0.25 * one.load + 0.75 * other.load)
     assert found.steps == one.steps + other.steps
     x, y, down = found.load.reshape(-1, 3).T
     assert np.all(np.hypot(x, y) <= -0.8 * down + 1e-6 * np.abs(down).max())
+
+
+def test_a_contact_that_only_presses_is_the_average_over_tempered_likelihoods(monkeypatch: pytest.MonkeyPatch) -> None:
+    f, z, asked, wide = fit(), pressed()[0].ravel() / NOISE, [], 1.5
+    fits = [Fitted((Disc(2, -1, r),), np.array([[9.0, -0.2, 0.13]]), 0.0) for r in (2, 3, 4)]
+    local = LocalLoad(np.zeros(1), np.ones(1), np.eye(6), fits[0], 1.0, ((1.0, fits[0]),), wide, {1: 1.0})
+
+    def contacts(_: ContactFit, told: np.ndarray) -> list[Fitted]:
+        asked.append(told)
+        return [fits[len(asked)]] if len(asked) < 3 else []
+
+    monkeypatch.setattr(ContactFit, "contacts", contacts)
+    found = f.pressed(z, local, 0.8)
+    assert np.allclose(asked, [z / wide / times for times in TEMPERED])
+    assert min(TEMPERED) > 1.0
+    tempered = [replace(local, likely=((1.0, g),), wide=wide * t) for g, t in zip(fits[1:], TEMPERED, strict=True)]
+    parts = [f.within_cone(z, one, 0.8) for one in tempered]
+    assert np.allclose(found.load, np.mean([p.load for p in parts], axis=0))
+    assert found.std is local.std  # the band is not tempered
+    assert found.wrench is local.wrench
+    assert found.steps == sum(p.steps for p in parts)
+    assert np.allclose(f.pressed(z, local, 0.8).load, f.within_cone(z, local, 0.8).load)  # where none is found any more
 
 
 def test_contacts_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
