@@ -242,7 +242,9 @@ class QuickMap:
             return self._by_contacts(steady, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
-        variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
+        hidden = not (self.normal or quick) and wrench is None and about is None  # so may be a load
+        told = answer.load if hidden else load  # a contact that is not seen makes no band smaller
+        variance, covariance = band.std(told, wide) ** 2, band.covariance(told, wide)
         if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is
             variance = variance + np.maximum(answer.std**2 - inverse.std**2, 0.0)
             covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
@@ -266,9 +268,10 @@ class QuickMap:
                 apart = inverse.resultant @ load - force
                 covariance = covariance + np.outer(apart, apart)
         flags = [guards.unseen(self.recovery) if wrench is None and about is None else None]
-        if found is None and wrench is None and about is None:
-            covariance = covariance + self._blind(inverse.resultant @ load)
-        if self.contacts is not None and wrench is None and about is None and not quick and not self.normal:
+        if (found is None or hidden) and wrench is None and about is None:
+            apart = inverse.resultant @ (load - told)
+            covariance = covariance + self._blind(inverse.resultant @ told) + np.outer(apart, apart)
+        if self.contacts is not None and hidden:
             covariance[2, 2] += wide**2 * self.contacts.hidden(steady / inverse.noise / wide)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=np.minimum(wide * np.sqrt(band.noise), done.std))

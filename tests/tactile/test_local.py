@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from case_studies.bodies import Patch, surfaces
 from structures._threads import threads
-from tactile import Markers, MultilayerPad, Pad, Tolerances
+from tactile import ContactLaw, Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import Fitted
 from tactile._sensors.local import SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
@@ -282,6 +282,12 @@ def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts()
     assert f(z) is None
     assert abs(0.02 * force[2]) < 2 * hidden < 0.02
     assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)
+    frame, pad, law = z.reshape(-1, 2) * NOISE, sensor().pad, ContactLaw(no_pull=True)
+    free = sensor().estimate(frame).resultant()
+    held = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), contact=law, choice=0.03).estimate(frame).resultant()
+    assert not held.value.any()
+    assert np.all(held.std >= free.std)  # that a contact only presses tells nothing of one that is not seen
+    assert np.all(held.std <= free.std + np.abs(free.value))
 
 
 def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
