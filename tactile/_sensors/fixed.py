@@ -260,7 +260,7 @@ class QuickMap:
                 force, covariance = inverse.resultant @ about.load, about.wrench
             if found is None:
                 if about is not None:
-                    load, variance = about.beside(load, variance)
+                    load, variance = about.beside(load, variance, band.left_open(about.load, wide))
                 load = band.corrected(load, force)
             else:
                 found = self.pressed(steady, held(force, asked, self.contact.friction, self._along(load)), answer)

@@ -67,18 +67,21 @@ class LocalLoad:
     wide: float
     regions: Mapping[int, float]
 
-    def beside(self, load: Array, variance: Array) -> tuple[Array, Array]:
+    def beside(self, load: Array, variance: Array, least: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of this load and another (n,) of the same readings, that may lie anywhere.
 
         Each is smooth, or rough, where the other is not: their errors are hardly correlated (.1 on average), so that
         they are weighed by their variances. How far they lie apart is in the band, as that of two models; where that
         is less than both lead to expect, the variance of their mean is as much too large, and is taken half way there.
+        Of a contact that noise hides loads anywhere tell no size: their variance is at `least` (n,) what this load has
+        them be, where not their weight but the band is asked for.
         """
         own = np.maximum(self.std**2, LEAST * variance)
         weight = own / np.maximum(own + variance, np.finfo(float).tiny)  # of the other
         mean, apart = weight * load + (1 - weight) * self.load, (load - self.load) ** 2
         agreed = min(1.0, (1.0 + np.sum(apart) / max(np.sum(own + variance), np.finfo(float).tiny)) / 2)
-        return mean, (1 - weight) * (agreed * own + weight * apart)
+        both = (1 - weight) ** 2 * own + weight**2 * np.maximum(variance, least)
+        return mean, agreed * both + weight * (1 - weight) * apart
 
 
 @dataclass(frozen=True, eq=False)

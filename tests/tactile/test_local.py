@@ -350,7 +350,7 @@ def test_a_map_of_markers_along_all_axes_is_nearer_than_either_of_its_parts(monk
     seen = moved + NOISE * np.random.default_rng(6).standard_normal(moved.shape)
     pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
     s = MultilayerPad(pad, Markers(markers(), NOISE, "XYZ"), choice=0.03)
-    found, (about, anywhere, _) = s.estimate(seen), parts
+    found, (about, anywhere, *_) = s.estimate(seen), parts
     assert np.allclose(found.resultant().value[:3], s.resultant[:3] @ about.load, rtol=1e-6)
     true = patch.density(pad.nodes2d)[:, None] * np.array(patch.force)
     mean, nearest, open_ = (load.reshape(-1, 3) - true for load in (found.load, about.load, anywhere))
@@ -362,10 +362,28 @@ def test_a_map_of_markers_along_all_axes_is_nearer_than_either_of_its_parts(monk
 def test_two_loads_of_the_same_readings_are_weighed_by_their_variances() -> None:
     load, std = np.array([1.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.0])
     local = LocalLoad(load, std, np.eye(6), Fitted((), np.empty((0, 3)), 0.0), 1.0, (), 1.0, {1: 1.0})
-    mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))
+    none = np.zeros(3)
+    mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]), none)
     assert np.allclose(mean, (1.0, 2.5, 0.1))
     agreed = (1 + (0 + 4 + 1.21) / (2 + 4 + 1.1)) / 2  # less apart than both lead to expect
     # two that lie apart are wider; a place without a contact keeps a tenth of what is open there
     assert np.allclose(variance, agreed * np.array([0.5, 0.75, 0.1 / 1.1]) + (0, 0.1875 * 4, 0.1))
-    apart = local.beside(np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))[1]  # no less than the variance of a mean
+    other = np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0])
+    apart = local.beside(*other, none)[1]  # no less than the variance of a mean
     assert np.allclose(apart, (0.5 + 0.25 * 9, 0.75 + 0.1875 * 4, 0.1 / 1.1 + 0.1))
+    mean, wider = local.beside(*other, np.array([5.0, 1.0, 1.0]))  # noise hides how large the other may be at the first
+    assert np.allclose(mean, local.beside(*other, none)[0])
+    assert np.allclose(wider - apart, (0.25 * 4, 0.0, 0.0))
+
+
+def test_loads_leave_open_what_readings_do_not_show_of_loads_as_large_as_these() -> None:
+    band, load = sensor().inverse.band, np.zeros((len(fit().places), 3))
+    assert band is not None
+    assert np.allclose(band.left_open(load.ravel(), 2.0), 4 * band.noise)
+    node = len(load) // 2
+    load[node, 2] = -1e4
+    more = (band.left_open(load.ravel(), 1.0) - band.noise).reshape(-1, 3)
+    assert not more[:, :2].any()
+    assert np.array_equal(np.flatnonzero(more[:, 2]), np.sort(band.near[[node]].indices))
+    assert np.isclose(more[node, 2], 1e8 * band.unseen[3 * node + 2], rtol=0.5)  # and what the mesh errs by
+    assert more[node, 2] >= 1e8 * band.unseen[3 * node + 2]
