@@ -254,10 +254,8 @@ class QuickMap:
             variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
         asked = wrench if about is None else Wrench(inverse.resultant[:3] @ about.load)
         if asked is not None:
-            if about is None:
-                force, covariance = met(inverse.resultant @ load, covariance, asked)
-            else:
-                force, covariance = inverse.resultant @ about.load, about.wrench
+            R = inverse.resultant
+            force, covariance = met(R @ load, covariance, asked) if about is None else (R @ about.load, about.wrench)
             if found is None:
                 if about is not None:
                     load, variance = about.beside(load, variance, band.left_open(about.load, wide))
@@ -265,8 +263,7 @@ class QuickMap:
             else:
                 found = self.pressed(steady, held(force, asked, self.contact.friction, self._along(load)), answer)
                 load = found.load
-                apart = inverse.resultant @ load - force
-                covariance = covariance + np.outer(apart, apart)
+                covariance = covariance + np.outer(R @ load - force, R @ load - force)
         flags = [guards.unseen(self.recovery) if wrench is None and about is None else None]
         if (found is None or hidden) and wrench is None and about is None:
             apart = inverse.resultant @ (load - told)
