@@ -242,7 +242,7 @@ class QuickMap:
             return self._by_contacts(steady, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
-        hidden = not (self.normal or quick) and wrench is None and about is None  # so may be a load
+        hidden = not quick and wrench is None and about is None  # so may be a load
         told = answer.load if hidden else load  # a contact that is not seen makes no band smaller
         variance, covariance = band.std(told, wide) ** 2, band.covariance(told, wide)
         if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is

@@ -119,6 +119,11 @@ class ContactFit(ContactSearch):
             keep(self._parts, key, part, PARTS)
         return self._parts[key]
 
+    def hidden(self, z: Array) -> float:
+        """Mean square (N^2) of the normal force of one contact anywhere, by readings (m,), NaN where lost."""
+        seen = np.isfinite(z)
+        return super().hidden(z) if seen.all() else self.on(seen).hidden(z[seen])
+
     @one_thread()  # its matrices are too small to be shared
     def __call__(self, z: Array, wide: float = 1.0, level: float = -np.inf) -> LocalLoad | None:
         """Load of whitened readings (m,), NaN where lost, whose noise is `wide` times as large as stated.
