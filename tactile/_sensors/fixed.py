@@ -242,7 +242,9 @@ class QuickMap:
             return self._by_contacts(steady, about, (strays, misfit), shift)
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
-        variance, covariance = band.std(load, wide) ** 2, band.covariance(load, wide)
+        hidden = not quick and wrench is None and about is None  # so may be a load
+        told = answer.load if hidden else load  # a contact that is not seen makes no band smaller
+        variance, covariance = band.std(told, wide) ** 2, band.covariance(told, wide)
         if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is
             variance = variance + np.maximum(answer.std**2 - inverse.std**2, 0.0)
             covariance = covariance + answer.wrench - inverse.resultant @ inverse.reach
@@ -252,23 +254,21 @@ class QuickMap:
             variance, covariance = variance + np.sum(moved**2, axis=1), covariance + felt @ felt.T
         asked = wrench if about is None else Wrench(inverse.resultant[:3] @ about.load)
         if asked is not None:
-            if about is None:
-                force, covariance = met(inverse.resultant @ load, covariance, asked)
-            else:
-                force, covariance = inverse.resultant @ about.load, about.wrench
+            R = inverse.resultant
+            force, covariance = met(R @ load, covariance, asked) if about is None else (R @ about.load, about.wrench)
             if found is None:
                 if about is not None:
-                    load, variance = about.beside(load, variance)
+                    load, variance = about.beside(load, variance, band.left_open(about.load, wide))
                 load = band.corrected(load, force)
             else:
                 found = self.pressed(steady, held(force, asked, self.contact.friction, self._along(load)), answer)
                 load = found.load
-                apart = inverse.resultant @ load - force
-                covariance = covariance + np.outer(apart, apart)
+                covariance = covariance + np.outer(R @ load - force, R @ load - force)
         flags = [guards.unseen(self.recovery) if wrench is None and about is None else None]
-        if found is None and wrench is None and about is None:
-            covariance = covariance + self._blind(inverse.resultant @ load)
-        if self.contacts is not None and wrench is None and about is None and not quick and not self.normal:
+        if (found is None or hidden) and wrench is None and about is None:
+            apart = inverse.resultant @ (load - told)
+            covariance = covariance + self._blind(inverse.resultant @ told) + np.outer(apart, apart)
+        if self.contacts is not None and hidden:
             covariance[2, 2] += wide**2 * self.contacts.hidden(steady / inverse.noise / wide)
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=np.minimum(wide * np.sqrt(band.noise), done.std))

@@ -155,9 +155,17 @@ class ForceBand:
 
     def std(self, load: Array, wide: float) -> Array:
         """Std of each load (n,), where noise is `wide` times as large as stated."""
-        size = self.sizes(load) * self.prior.variance
-        shares = self.unseen + sum((e.spread for e in self.errors), np.zeros_like(size))
-        return np.sqrt(wide**2 * self.noise + size * shares)
+        return np.sqrt(wide**2 * self.noise + self.sizes(load) * self.prior.variance * self._shares)
+
+    def left_open(self, load: Array, wide: float) -> Array:
+        """Variance (n,) of what is found where there are loads of this size (n,), known otherwise, on and about it."""
+        size = np.column_stack([_largest(self.near, part**2) for part in load.reshape(-1, 3).T]).ravel()
+        return np.asarray(wide**2 * self.noise + size * self._shares)
+
+    @cached_property
+    def _shares(self) -> Array:
+        """Variance (n,) of what is found of a unit of variance."""
+        return sum((e.spread for e in self.errors), self.unseen)
 
     def covariance(self, load: Array, wide: float) -> Array:
         """Covariance (6, 6) of the resultant."""

@@ -38,6 +38,7 @@ FLOOR = 1e-4  # of the variance of a pressure, that any node may have of its own
 LEAST = 0.1  # of the variance of loads that may lie anywhere: what one about a contact has at least
 PARTS = 4  # sets of readings that are kept
 MANY = 8  # discs, of which loads that only press are averaged
+TEMPERED = (1.4, 2.0)  # times the noise, of which they are averaged too
 INNER = (
     4.0  # log evidence of what a contact must bring that is for its size and ratios, where these count by themselves
 )
@@ -66,18 +67,21 @@ class LocalLoad:
     wide: float
     regions: Mapping[int, float]
 
-    def beside(self, load: Array, variance: Array) -> tuple[Array, Array]:
+    def beside(self, load: Array, variance: Array, least: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of this load and another (n,) of the same readings, that may lie anywhere.
 
         Each is smooth, or rough, where the other is not: their errors are hardly correlated (.1 on average), so that
         they are weighed by their variances. How far they lie apart is in the band, as that of two models; where that
         is less than both lead to expect, the variance of their mean is as much too large, and is taken half way there.
+        Of a contact that noise hides loads anywhere tell no size: their variance is at `least` (n,) what this load has
+        them be, where not their weight but the band is asked for.
         """
         own = np.maximum(self.std**2, LEAST * variance)
         weight = own / np.maximum(own + variance, np.finfo(float).tiny)  # of the other
         mean, apart = weight * load + (1 - weight) * self.load, (load - self.load) ** 2
         agreed = min(1.0, (1.0 + np.sum(apart) / max(np.sum(own + variance), np.finfo(float).tiny)) / 2)
-        return mean, (1 - weight) * (agreed * own + weight * apart)
+        both = (1 - weight) ** 2 * own + weight**2 * np.maximum(variance, least)
+        return mean, agreed * both + weight * (1 - weight) * apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,11 @@ class ContactFit(ContactSearch):
             part = ContactFit(self.problem.on(seen), self.places, self.thickness, self.moved[seen])
             keep(self._parts, key, part, PARTS)
         return self._parts[key]
+
+    def hidden(self, z: Array) -> float:
+        """Mean square (N^2) of the normal force of one contact anywhere, by readings (m,), NaN where lost."""
+        seen = np.isfinite(z)
+        return super().hidden(z) if seen.all() else self.on(seen).hidden(z[seen])
 
     @one_thread()  # its matrices are too small to be shared
     def __call__(self, z: Array, wide: float = 1.0, level: float = -np.inf) -> LocalLoad | None:
@@ -208,14 +217,27 @@ class ContactFit(ContactSearch):
     def pressed(self, z: Array, local: LocalLoad, friction: float | None, normals: Array | None = None) -> Pressed:
         """The load of readings (m,), NaN where lost, about the likeliest contacts that only presses, in its cone.
 
-        Those of several discs are averaged by their evidence: what presses, or lies in a cone, still does on average.
-        `normals` (P, 3) are those of a curved surface.
+        What a model errs by under a contact no far marker shows, and a load in its cone fits it: the likelihood is
+        tempered (P. Grünwald & T. van Ommen, Bayesian Anal. 12 (2017) 1069), as long as contacts are found. As the best
+        temper is not known, loads of several are averaged; the band is that of `local`. `normals` (P, 3) are those of a
+        curved surface.
         """
         seen = np.isfinite(z)
         if not seen.all():
             return self.on(seen).pressed(z[seen], local, friction, normals)
+        here, parts = local, []
+        for times in TEMPERED:
+            found = self.contacts(z / (times * local.wide))
+            if found:
+                here = replace(local, likely=_likely(found), wide=times * local.wide)
+            parts.append(self.within_cone(z, here, friction, normals))
+        load, converged = np.mean([p.load for p in parts], axis=0), all(p.converged for p in parts)
+        return replace(parts[0], load=load, steps=sum(p.steps for p in parts), converged=converged)
+
+    def within_cone(self, z: Array, local: LocalLoad, friction: float | None, normals: Array | None = None) -> Pressed:
+        """The load about contacts as they are: what presses, or lies in a cone, does on the average of `likely`."""
         found = [self._pressed(z, f, local.wide, friction, normals) for _, f in local.likely]
-        load = sum((w * p.load for (w, _), p in zip(local.likely, found, strict=True)), np.zeros(len(local.load)))
+        load = np.asarray(sum(w * p.load for (w, _), p in zip(local.likely, found, strict=True)))
         return Pressed(load, local.std, local.wrench, sum(p.steps for p in found), all(p.converged for p in found))
 
     def _pressed(self, z: Array, f: Fitted, wide: float, friction: float | None, normals: Array | None) -> Pressed:

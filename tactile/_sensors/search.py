@@ -80,8 +80,7 @@ class ContactSearch(DiscWindows):
 
     def hidden(self, z: Array) -> float:
         """Mean square (N^2) of the normal force of one contact anywhere, by the evidence of readings (m,)."""
-        seen = np.isfinite(z)
-        gain, v, on = self._gains(np.where(seen, z, 0.0) if not seen.all() else self.model(()).left(z, NOTHING))
+        gain, v, on = self._gains(self.model(()).left(z, NOTHING))
         square, parts = self._looks[3][:, 0], self._looks[3][:, 1:]
         size = SIZES[:, None]
         mean = size * np.sum(np.sqrt(v) / (1 + v) * on * parts, axis=2)

@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 
 from case_studies.bodies import Patch, surfaces
 from structures._threads import threads
-from tactile import Markers, MultilayerPad, Pad, Tolerances
+from tactile import ContactLaw, Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import Fitted
-from tactile._sensors.local import SPREAD, ContactFit, LocalLoad, _reach
+from tactile._sensors.local import SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -282,6 +282,12 @@ def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts()
     assert f(z) is None
     assert abs(0.02 * force[2]) < 2 * hidden < 0.02
     assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)
+    frame, pad, law = z.reshape(-1, 2) * NOISE, sensor().pad, ContactLaw(no_pull=True)
+    free = sensor().estimate(frame).resultant()
+    held = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), contact=law, choice=0.03).estimate(frame).resultant()
+    assert not held.value.any()
+    assert np.all(held.std >= free.std)  # that a contact only presses tells nothing of one that is not seen
+    assert np.all(held.std <= free.std + np.abs(free.value))
 
 
 def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
@@ -291,13 +297,35 @@ def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
     assert len(local.likely) > 1
     assert np.isclose(sum(w for w, _ in local.likely), 1.0)
     assert local.likely[0][1].discs == local.best.discs
-    one, other = (f.pressed(z, replace(local, likely=((1.0, g),)), 0.8) for _, g in local.likely[:2])
+    one, other = (f.within_cone(z, replace(local, likely=((1.0, g),)), 0.8) for _, g in local.likely[:2])
     both = replace(local, likely=tuple((w, g) for w, (_, g) in zip((0.25, 0.75), local.likely, strict=False)))
-    found = f.pressed(z, both, 0.8)
+    found = f.within_cone(z, both, 0.8)
     assert np.allclose(found.load, 0.25 * one.load + 0.75 * other.load)
     assert found.steps == one.steps + other.steps
     x, y, down = found.load.reshape(-1, 3).T
     assert np.all(np.hypot(x, y) <= -0.8 * down + 1e-6 * np.abs(down).max())
+
+
+def test_a_contact_that_only_presses_is_the_average_over_tempered_likelihoods(monkeypatch: pytest.MonkeyPatch) -> None:
+    f, z, asked, wide = fit(), pressed()[0].ravel() / NOISE, [], 1.5
+    fits = [Fitted((Disc(2, -1, r),), np.array([[9.0, -0.2, 0.13]]), 0.0) for r in (2, 3, 4)]
+    local = LocalLoad(np.zeros(1), np.ones(1), np.eye(6), fits[0], 1.0, ((1.0, fits[0]),), wide, {1: 1.0})
+
+    def contacts(_: ContactFit, told: np.ndarray) -> list[Fitted]:
+        asked.append(told)
+        return [fits[len(asked)]] if len(asked) < 3 else []
+
+    monkeypatch.setattr(ContactFit, "contacts", contacts)
+    found = f.pressed(z, local, 0.8)
+    assert np.allclose(asked, [z / wide / times for times in TEMPERED])
+    assert min(TEMPERED) > 1.0
+    tempered = [replace(local, likely=((1.0, g),), wide=wide * t) for g, t in zip(fits[1:], TEMPERED, strict=True)]
+    parts = [f.within_cone(z, one, 0.8) for one in tempered]
+    assert np.allclose(found.load, np.mean([p.load for p in parts], axis=0))
+    assert found.std is local.std  # the band is not tempered
+    assert found.wrench is local.wrench
+    assert found.steps == sum(p.steps for p in parts)
+    assert np.allclose(f.pressed(z, local, 0.8).load, f.within_cone(z, local, 0.8).load)  # where none is found any more
 
 
 def test_contacts_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,22 +350,45 @@ def test_a_map_of_markers_along_all_axes_is_nearer_than_either_of_its_parts(monk
     seen = moved + NOISE * np.random.default_rng(6).standard_normal(moved.shape)
     pad = Pad(size=SIZE, thickness=THICK, E=E, nu=NU)
     s = MultilayerPad(pad, Markers(markers(), NOISE, "XYZ"), choice=0.03)
-    found, (about, anywhere, _) = s.estimate(seen), parts
+    found, (about, anywhere, *_) = s.estimate(seen), parts
     assert np.allclose(found.resultant().value[:3], s.resultant[:3] @ about.load, rtol=1e-6)
     true = patch.density(pad.nodes2d)[:, None] * np.array(patch.force)
     mean, nearest, open_ = (load.reshape(-1, 3) - true for load in (found.load, about.load, anywhere))
     assert np.linalg.norm(mean) < 0.85 * min(np.linalg.norm(nearest), np.linalg.norm(open_))
     under = true[:, 2] != 0
     assert np.mean(np.abs(mean)[under] <= 1.96 * found.std.reshape(-1, 3)[under]) > 0.85
+    far = np.hypot(*(markers() - (4e-3, -3e-3)).T) > 7e-3  # a press may be where no marker is seen
+    still = NOISE * np.random.default_rng(7).standard_normal(moved.shape)
+    lost = np.where(far[:, None], still, np.nan)
+    added = [s.estimate(m).resultant().std[2] ** 2 - s.follow(m).resultant().std[2] ** 2 for m in (lost, still)]
+    assert added[0] > 4 * added[1] > 0
 
 
 def test_two_loads_of_the_same_readings_are_weighed_by_their_variances() -> None:
     load, std = np.array([1.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.0])
     local = LocalLoad(load, std, np.eye(6), Fitted((), np.empty((0, 3)), 0.0), 1.0, (), 1.0, {1: 1.0})
-    mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))
+    none = np.zeros(3)
+    mean, variance = local.beside(np.array([1.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]), none)
     assert np.allclose(mean, (1.0, 2.5, 0.1))
     agreed = (1 + (0 + 4 + 1.21) / (2 + 4 + 1.1)) / 2  # less apart than both lead to expect
     # two that lie apart are wider; a place without a contact keeps a tenth of what is open there
     assert np.allclose(variance, agreed * np.array([0.5, 0.75, 0.1 / 1.1]) + (0, 0.1875 * 4, 0.1))
-    apart = local.beside(np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0]))[1]  # no less than the variance of a mean
+    other = np.array([4.0, 1.0, 1.1]), np.array([1.0, 3.0, 1.0])
+    apart = local.beside(*other, none)[1]  # no less than the variance of a mean
     assert np.allclose(apart, (0.5 + 0.25 * 9, 0.75 + 0.1875 * 4, 0.1 / 1.1 + 0.1))
+    mean, wider = local.beside(*other, np.array([5.0, 1.0, 1.0]))  # noise hides how large the other may be at the first
+    assert np.allclose(mean, local.beside(*other, none)[0])
+    assert np.allclose(wider - apart, (0.25 * 4, 0.0, 0.0))
+
+
+def test_loads_leave_open_what_readings_do_not_show_of_loads_as_large_as_these() -> None:
+    band, load = sensor().inverse.band, np.zeros((len(fit().places), 3))
+    assert band is not None
+    assert np.allclose(band.left_open(load.ravel(), 2.0), 4 * band.noise)
+    node = len(load) // 2
+    load[node, 2] = -1e4
+    more = (band.left_open(load.ravel(), 1.0) - band.noise).reshape(-1, 3)
+    assert not more[:, :2].any()
+    assert np.array_equal(np.flatnonzero(more[:, 2]), np.sort(band.near[[node]].indices))
+    assert np.isclose(more[node, 2], 1e8 * band.unseen[3 * node + 2], rtol=0.5)  # and what the mesh errs by
+    assert more[node, 2] >= 1e8 * band.unseen[3 * node + 2]

@@ -90,7 +90,7 @@ def test_the_force_of_a_contact_that_only_presses_is_that_of_draws(friction: flo
     local = f(z)
     assert local is not None
     loads, precision, mean = posed(local.best, z / local.wide)
-    one = f.pressed(z, replace(local, likely=((1.0, local.best),)), friction)
+    one = f.within_cone(z, replace(local, likely=((1.0, local.best),)), friction)
     assert np.all(np.flatnonzero(one.load.reshape(-1, 3).any(axis=1)) * 3 == loads[::3])  # the same nodes
     start = one.load[loads].reshape(-1, 3) / local.wide
     start[:, 2] -= 1e-3 * np.abs(start).max()
