@@ -57,8 +57,8 @@ def without_error(
     """FRFs that are as likely too large as too small, and their variance.
 
     What noise makes of an FRF that is zero takes part in no load: a regression on it finds next to none (errors in
-    variables; W. Fuller, Measurement Error Models, 1987). Each line is shrunk by the share of its mean square that is no
-    error (N. Wiener, 1949). Below the first line that is told the FRF is any of that size.
+    variables; W. Fuller, Measurement Error Models, 1987). Each line is shrunk by the share of its mean square that is
+    no error (N. Wiener, 1949). Below the first line that is told the FRF is any of that size.
 
     Parameters
     ----------
