@@ -51,9 +51,7 @@ def smooth_lines(power: NDArray[Any], half: int, *, own: bool = True) -> NDArray
     return np.asarray(convolve1d(np.asarray(power, float), kernel / kernel.sum(), axis=0, mode="mirror"))
 
 
-def without_error(
-    H: NDArray[Any], variance: NDArray[np.float64]
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+def without_error(H: NDArray[Any], variance: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """FRFs that are as likely too large as too small, and their variance.
 
     What noise makes of an FRF that is zero takes part in no load: a regression on it finds next to none (errors in
