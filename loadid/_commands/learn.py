@@ -43,7 +43,7 @@ examples:
     loadid learn demo --out learn-demo
   draw the training set that a job declares, and learn a map from it:
     loadid learn generate job.toml
-    loadid learn fit job.toml -o map.h5
+    loadid learn fit job.toml -o map.h5     # a network: killed and run again, it goes on (map.training.h5)
   hold it against a set of another seed, and use it:
     loadid learn check map.h5 other-set
     loadid learn run map.h5 log.csv -o load.h5
@@ -82,8 +82,8 @@ def job_of(path: str | Path) -> tuple[dict[str, Any], PlanReader, Path]:
     return job, plan, Path(path).resolve().parent
 
 
-def fitted(path: str | Path, progress: Any = None) -> FittedMap:
-    """The map of a job.
+def fitted(path: str | Path, progress: Any = None, checkpoint: str | Path | None = None) -> FittedMap:
+    """The map of a job; a network's training is kept in `checkpoint` where the job names no file of its own.
 
     Raises
     ------
@@ -100,6 +100,10 @@ def fitted(path: str | Path, progress: Any = None) -> FittedMap:
     told.pop("file", None)
     if not isinstance(own, dict):
         plan.refused("settings of [map]", own, "a table [map.settings]")
+    if "checkpoint" in own:
+        own["checkpoint"] = folder / plan.text(own, "checkpoint", "[map.settings]")
+    elif told.get("engine") == "torch" and checkpoint is not None:
+        own["checkpoint"] = checkpoint
     training = TrainingSet.open(folder / plan.text(job, "set", str(path)))
     if "sensor" in job:
         plan.known(told, "sensor's map", "[map]")
@@ -185,7 +189,7 @@ def _generate(args: Namespace) -> int:
 def _fit(args: Namespace) -> int:
     require_outputs({"-o": args.output}, [args.source])
     with Bar() as bar:
-        found = fitted(args.source, bar)
+        found = fitted(args.source, bar, Path(args.output).with_suffix(".training.h5"))
     found.save(args.output)
     data: Mapping[str, Any] = {"engine": found.engine.name, **found.facts, "written": [str(args.output)]}
     emit(args, dict(data), f"{found.engine.name} map of {found.facts['draws']} draws\nwritten: {args.output}")

@@ -1,12 +1,19 @@
 """``loadid learn`` from a job to an answer, and ``loadid identify`` with a map in place of a model."""
 
 import json
+import logging
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 import loadid
+from loadid import load_map
+from loadid._learning.network.training import KIND
 from loadid.cli import main
+from structures.files import _storage as storage
 
 from .made import DT, SAMPLES, chain, history_map, seen, slow
 
@@ -66,6 +73,49 @@ def test_a_map_is_checked_on_a_set_of_another_seed(folder, capsys):
     assert row["alarms"] <= 0.03
     assert main(["learn", "check", str(folder / "map.h5"), str(folder / "other"), "--draws", "5"]) == 0
     assert "coverage promised: 0.95" in capsys.readouterr().out
+
+
+KILLED = """
+import os, signal, sys
+from loadid._learning.network import engine, training
+from loadid.cli import main
+
+keep, brief = training._keep, engine.Schedule(epochs=2)
+
+def killed(path, name, state):
+    keep(path, name, state)
+    if state.epoch == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+training._keep, engine.Schedule = killed, lambda: brief
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
+def test_a_killed_training_goes_on_when_the_command_is_run_again(folder, tmp_path, monkeypatch, caplog):
+    """It is killed behind its first epoch of two: the second alone is left."""
+    pytest.importorskip("torch")
+    from loadid._learning.network import engine
+
+    brief = engine.Schedule(epochs=2)
+    monkeypatch.setattr(engine, "Schedule", lambda: brief)
+    job, kept = folder / "network.toml", tmp_path / "map.training.h5"
+    told = JOB.format(name="brief", seed=2).replace('"loads.toml"', '"brief_loads.toml"').replace("120", "100")
+    job.write_text(told.replace('"linear"', '"torch"'))
+    (folder / "brief_loads.toml").write_text(LOADS.replace(f"samples = {SAMPLES}", "samples = 100"))
+    assert main(["learn", "generate", str(job)]) == 0
+    words = ["learn", "fit", str(job), "-o", str(tmp_path / "map.h5")]
+    assert subprocess.run([sys.executable, "-c", KILLED, *words], check=False).returncode == -signal.SIGKILL
+    assert [p.name for p in tmp_path.iterdir()] == [kept.name]
+    first = storage.read(kept, KIND)["losses"]
+    with caplog.at_level(logging.INFO, "loadid._learning.network.training"):
+        assert main(words) == 0
+    assert [record.args[0] for record in caplog.records] == [2]
+    losses = load_map(tmp_path / "map.h5").engine.losses
+    assert len(losses) == 2
+    np.testing.assert_array_equal(losses[:1], first)
+    assert not kept.exists()
 
 
 def test_a_map_is_not_checked_on_what_it_was_learned_from(folder, capsys):
