@@ -16,7 +16,7 @@ def highest(
 ) -> tuple[float, Array]:
     """The largest evidence near a start, and where it is, by quadratic models of it in a trust region.
 
-    T. M. Ragonneau & Z. Zhang, COBYQA (2022); a simplex takes three times as many evaluations here.
+    T. M. Ragonneau & Z. Zhang, COBYQA (2022); a simplex takes more than twice as many evaluations here.
 
     Parameters
     ----------

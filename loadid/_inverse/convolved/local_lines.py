@@ -99,7 +99,7 @@ class Spectrum:
         H, Y = np.where(told, path.H, 0.0), np.where(told[..., 0], path.Y, 0.0)
         if path.variance is None:
             return cls(H, Y, path.samples, path.padded, None, path.excess)
-        H, variance = without_error(H, path.samples * path.variance)
+        H, variance = without_error(H, np.where(told, path.samples * path.variance, 0.0))
         return cls(H, Y, path.samples, path.padded, variance / path.samples, path.excess)
 
     @cached_property
