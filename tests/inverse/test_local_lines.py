@@ -10,6 +10,7 @@ from scipy.signal import fftconvolve
 
 from loadid import Deconvolution, LoadEstimate, Noise, Penalty
 from loadid._inverse.convolved.local_lines import LinesFit, LocalLinesPrior, Spectrum, Weighed, active
+from loadid._inverse.convolved.path import SpectralPath
 from loadid._inverse.posterior import from_arrays
 from structures import InputError, MeasuredModel
 from tests.campaigns import hammer
@@ -175,3 +176,14 @@ def test_active_samples_are_few_or_none() -> None:
     assert few[0] < 1000 <= 1009 < few[-1]
     assert len(few) < 100
     assert len(active(np.ones((5000, 1)), 600)) == 0
+
+
+def test_a_line_that_was_divided_by_nothing_leaves_its_neighbours() -> None:
+    rng = np.random.default_rng(8)
+    H = np.exp(2j * np.pi * rng.random((65, 1, 1)))
+    variance = np.full(H.shape, 1e-4)
+    H[30], variance[30] = 1e12, 1e24
+    found = Spectrum.of(SpectralPath(H, rng.standard_normal((64, 1)), np.ones((65, 1)), variance=variance))
+    assert found.H[30] == 0
+    alone = np.abs(np.delete(found.H, 30)) / np.sqrt(64)
+    np.testing.assert_allclose(alone, 1.0, rtol=1e-3)
