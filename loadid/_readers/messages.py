@@ -196,8 +196,9 @@ def _bag(source: Source) -> list[Table]:
             notes = ["the bag holds no definitions of its messages: those of the latest ROS 2 are taken"]
         declared = reader.message_count
         for count, (connection, logged, data) in enumerate(reader.messages(), 1):
-            if count > max(declared, 1):
-                break
+            if count > declared:  # the index may be damaged, and point to messages again and again
+                source.refuse("more messages than the index of the bag counts", f"more than {declared}", "as many",
+                              "transfer the file again, or repair it: rosbag reindex")  # fmt: skip
             topic = topics.setdefault(connection.id, _Topic(connection.topic))
             topic.add(logged, reader.deserialize(data, connection.msgtype))
             left = _less(left, topic, source)

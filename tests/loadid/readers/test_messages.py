@@ -78,6 +78,21 @@ def test_own_messages_are_read_by_the_definition_in_the_bag(tmp_path):
     np.testing.assert_allclose(record.values[:, 0], A * 9.80665, rtol=1e-15)
 
 
+@pytest.mark.parametrize(("at", "byte", "expected"), [(-8, 1, "as many"), (-4, 3, "as many"), (-4, 255, None)])
+def test_an_index_that_counts_other_messages_is_told(tmp_path, at, byte, expected):
+    """The last eight bytes of a bag of one topic: its number, and how many messages of it the chunk holds."""
+    path = rosbag1(tmp_path / "x.bag")
+    data = bytearray(path.read_bytes())
+    data[at] = byte
+    path.write_bytes(data)
+    stated = {"units": {0: "N", 1: "g"}}
+    if expected is None:
+        assert "W209" in codes(read(path, **stated).flags)
+    else:
+        with pytest.raises(InputError, match=f"expected: {expected}"):
+            read(path, **stated)
+
+
 def mixed(path, *, compression="NONE", messages=16):
     """Two JSON topics, one of another shape now and then, and one in an encoding that is not read."""
     writer = pytest.importorskip("mcap.writer")
