@@ -210,9 +210,11 @@ def learned(
         one = LearnedSensor.read(kept, of)
         if one.fitted.facts["training"] == sets.training.fingerprint:
             return one
+    start = time.process_time()
     one = LearnedSensor.fit(of, sets.training, engine=engine, progress=progress, **settings)
     if kept is not None:
         one.save(kept)
+        print(f"{kept.stem}: learned in {time.process_time() - start:.0f} s of processor", flush=True)
     return one
 
 

@@ -155,23 +155,23 @@ def record(names: Sequence[str] = (), *, printing: bool = True) -> None:
     printing : bool
         Whether they run as users run them, which takes minutes for some, or their tests alone.
     """
-    for study in studies():
-        if not names or study.name in names:
-            found = {"printed": "", **(study.record() if study.kept.exists() else {})}
-            found["printed"] = _run(study) if printing else found["printed"]
-            found["pinned"] = _pin(study)
-            study.kept.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
-            sys.stdout.write(f"{study.name}: {len(found['pinned'])} assertions\n")
+    with tempfile.TemporaryDirectory() as folder:  # one for all: some go on with what others drew
+        for study in studies():
+            if not names or study.name in names:
+                found = {"printed": "", **(study.record() if study.kept.exists() else {})}
+                found["printed"] = _run(study, Path(folder)) if printing else found["printed"]
+                found["pinned"] = _pin(study)
+                study.kept.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
+                sys.stdout.write(f"{study.name}: {len(found['pinned'])} assertions\n")
 
 
-def _run(study: Study) -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        settings = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
-        settings.setdefault("LOADID_DATA", str(ROOT.parent / "shared" / "data"))
-        done = subprocess.run([sys.executable, "-m", f"case_studies.{study.name}"], cwd=folder, env=settings,
-                              check=True, capture_output=True, text=True)  # fmt: skip
-        if (drawn := Path(folder) / f"{study.name}.png").exists():
-            study.picture.write_bytes(small(drawn.read_bytes()))
+def _run(study: Study, folder: Path) -> str:
+    settings = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+    settings.setdefault("LOADID_DATA", str(ROOT.parent / "shared" / "data"))
+    done = subprocess.run([sys.executable, "-m", f"case_studies.{study.name}"], cwd=folder, env=settings,
+                          check=True, capture_output=True, text=True)  # fmt: skip
+    if (drawn := folder / f"{study.name}.png").exists():
+        study.picture.write_bytes(small(drawn.read_bytes()))
     return "\n".join(line.rstrip() for line in done.stdout.splitlines() if not line.startswith("picture")).strip()
 
 
