@@ -24,6 +24,7 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 KIND = "structure"
 MODELS = ("forward model", "state space", "modal model", "measured model", "table of FRFs")
 OBJECTS = 10_000
+TEXT = 16  # bytes that a dataset holds of a text that lies elsewhere
 _FILTERS = (1, 2, 3)  # deflate, shuffle, fletcher32: compiled in; any other would load a library from the disk
 
 
@@ -118,18 +119,46 @@ def touched(request: Mapping[str, Any]) -> tuple[None, list[NDArray[Any]]]:
     """Read all that `_get` would read; what cannot be read is refused in words by the caller."""
     import h5py
 
+    length = Path(request["path"]).stat().st_size
+
     def touch(name: str, item: Any) -> None:
         dict(item.attrs)
         if isinstance(item, h5py.Dataset) and not item.external and not item.is_virtual:
             settings = item.id.get_create_plist()
             filters = [settings.get_filter(i)[0] for i in range(settings.get_nfilters())]
             size = (item.size or 0) * item.dtype.itemsize
-            if set(filters) <= set(_FILTERS) and size <= BUDGET and (filters or size <= item.id.get_storage_size()):
+            held = filters or (size <= item.id.get_storage_size() and _texts_claim(item) <= length)
+            if set(filters) <= set(_FILTERS) and size <= BUDGET and held:
                 item[()]
 
     with contextlib.suppress(Exception), h5py.File(request["path"], "r") as file:
         file.visititems(touch)
     return None, []
+
+
+def _texts_claim(item: Any) -> int:
+    """Bytes that texts of any length say they have; the library takes them for each before it looks where they lie.
+
+    Of each the dataset holds length, address and index (HDF5 File Format Specification 3.0, "Variable-length Data").
+    """
+    import h5py
+
+    told = h5py.check_string_dtype(item.dtype)
+    if told is None or told.length is not None or not item.size:
+        return 0
+    if item.chunks is None:
+        parts = [(item.id.get_offset(), item.id.get_storage_size())]
+    else:
+        chunks = map(item.id.get_chunk_info, range(item.id.get_num_chunks()))
+        parts = [(one.byte_offset, one.size) for one in chunks]
+    total = 0
+    with open(item.file.filename, "rb") as file:
+        for at, size in parts:
+            if at is not None:
+                file.seek(at)
+                words = np.frombuffer(file.read(size // TEXT * TEXT), "<u4")
+                total += int(words[:: TEXT // 4].sum(dtype=np.int64))
+    return total
 
 
 def _guarded(path: Path, work: Callable[[Any], Any]) -> Any:
@@ -207,6 +236,10 @@ def _get(file: Any, name: str) -> NDArray[Any]:
     import h5py
 
     if h5py.check_string_dtype(item.dtype) is not None:
+        claimed, length = 0 if filters else _texts_claim(item), os.path.getsize(file.filename)
+        if claimed > length:
+            raise InputError("its texts claim more than the file holds", where=where, found=f"{claimed} bytes",
+                             expected=f"at most {length}", hint="transfer or export it again")  # fmt: skip
         text = item.asstr(errors="replace")[()]
         return np.atleast_1d(np.array(text, dtype=str))
     if item.dtype.names == ("real", "imag"):  # how MATLAB writes complex numbers

@@ -355,6 +355,26 @@ def external(f):
     f.create_dataset("K", (2, 2), "f8", external=[("/etc/passwd", 0, 32)])
 
 
+def long_text(chunks=None):
+    """A text that says of itself to be of 2 GB."""
+
+    def write(folder):
+        path = folder / "m.h5"
+        with h5py.File(path, "w") as f:
+            f["K"], f["M"] = K, M
+            f.create_dataset(
+                "dofs", data=[label.encode() for label in LABELS], dtype=h5py.string_dtype(), chunks=chunks
+            )
+            item = f["dofs"].id
+            at = item.get_offset() if chunks is None else item.get_chunk_info(1).byte_offset
+        data = bytearray(path.read_bytes())
+        data[at : at + 4] = (2**31).to_bytes(4, "little")
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
 def huge(f):
     f.create_dataset("K", (10**6, 10**6), "f8")
 
@@ -422,6 +442,8 @@ WRONG = {
     "h5 link": (h5(outside), "no stiffness matrix K"),
     "h5 external": (h5(external), "data that lie elsewhere"),
     "h5 huge": (h5(huge), "claims more data than it holds"),
+    "h5 long text": (long_text(), "its texts claim more than the file holds"),
+    "h5 long text in chunks": (long_text((4,)), "its texts claim more than the file holds"),
     "h5 group": (h5(lambda f: f.create_group("K")), "no stiffness matrix K"),
     "h5 compound": (h5(lambda f: f.create_dataset("K", data=np.zeros(3, "i4,f8"))), "a type that is not read"),
 }
