@@ -56,6 +56,8 @@ class Data:
         What was subtracted from each channel; empty where nothing was.
     flags : tuple of Flag
         What was done to the values.
+    filled : array of bool, shape (samples, used sensors), optional
+        Samples that were not recorded and for which the response to a load stands; none of them is `missing`.
     """
 
     values: NDArray[np.float64]
@@ -66,6 +68,7 @@ class Data:
     missing: NDArray[np.bool_]
     offsets: tuple[float, ...] = ()
     flags: tuple[Flag, ...] = ()
+    filled: NDArray[np.bool_] | None = None
 
     @property
     def duration(self) -> float:
@@ -85,7 +88,7 @@ class Data:
     @cached_property
     def gaps(self) -> str:
         """Missing samples in words, ``"40 of 1200 samples of s0, 2 of s1"``; "" where none is missing."""
-        lost = np.sum(self.missing, axis=0)
+        lost = np.sum(self.missing if self.filled is None else self.filled, axis=0)
         said = [(n, c.label) for n, c in zip(lost.tolist(), self.channels, strict=True) if n]
         if not said:
             return ""
@@ -265,7 +268,7 @@ def health(data: Data) -> tuple[Flag, ...]:
     if data.offsets:
         used = replace(used, values=used.values - data.offsets)
     found = (*data.flags, *used.health())
-    if data.missing.any():  # what is refused elsewhere has been dealt with
+    if data.gaps:  # what is refused elsewhere has been dealt with
         found = tuple(replace(f, advice=LEFT_OUT) if f.evidence.name == "missing" else f for f in found)
     return (*data.record.flags, *found)
 

@@ -34,6 +34,7 @@ from ..settings import ChoiceLike, Guards, Lambda, Noise, Penalty
 from . import detection, histories, local_variance
 from .answer import Overlooked, SolvedLoad, answer, beyond_noise, of_path, of_record, over_time, undetermined
 from .data import Data, gather
+from .gaps import bridged, near_gaps
 from .histories import facts as pushing_facts
 from .histories import flags as pushing_flags
 from .histories import half_width, kurtosis, push, signs
@@ -49,6 +50,9 @@ PROCESS = (
 )  # which a penalty on differences of that order is the prior of
 
 MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
+FILLED, FILLED_VALUES = 600, 2**24  # samples that are filled at most; these times the size of the record
+GONE = 0.5  # of a hit in a gap, which nothing tells but what rings on behind it
+FILLINGS = 2  # with a variance that is learned, whatever asks for it
 LITTLE = 0.1  # of the response, in what windows leave beyond the noise, that errors of the model make
 
 
@@ -158,8 +162,38 @@ class Deconvolution:
         data = gather(record, dt, self.model, self.sensors, allow_missing=True)
         data = without_offsets(data, self.model, at_rest=self.settings.resting, allow=self.settings.allow)
         self._progress(0.1, "posing the problem")
-        fit = settled(self.model, data, self._pose, self._choose, self._in_motion)
+        fit = self._fit(self._filled(data))
         return replace(self._answered(fit), again=self._again(fit))
+
+    def _fit(self, data: Data) -> Settled:
+        return settled(self.model, data, self._pose, self._choose, self._in_motion)
+
+    def _filled(self, data: Data) -> Data:
+        """In gaps of a record of measured FRFs the response to the hits that the rest tells; other loads leave them.
+
+        FRFs with their errors go by lines, which are of whole records; `LocalLinesPrior.with_gaps` then takes what
+        stands in the gaps for unknown.
+        """
+        s, lost = self.settings, int(data.missing.sum())
+        free = (s.unasked or s.local) and s.lam.path == "auto" and s.support is None and s.signed is False
+        if not (self.model.sampled and free and 0 < lost <= FILLED and lost * data.values.size <= FILLED_VALUES):
+            return data
+        none = np.zeros_like(data.missing)
+        whole = replace(data, values=bridged(data.values, data.missing), missing=none, filled=data.missing)
+        for variance in (*FILLINGS * ("local",), s.penalty.variance):
+            made = self._quietly(whole, variance)
+            if made.facts.get("variance") != "local":
+                return data
+            expected = np.asarray(made.response) - made.residual
+            whole = replace(whole, values=np.where(data.missing, expected, data.values))
+        return whole
+
+    def _quietly(self, data: Data, variance: str) -> LoadEstimate:
+        """The answer with a variance of the load, whose progress nobody sees."""
+        own = copy(self)
+        own.settings = replace(self.settings, penalty=replace(self.settings.penalty, variance=variance))
+        own._progress = Progress(None)
+        return own._answered(own._fit(data))
 
     def _answered(self, fit: Settled) -> LoadEstimate:
         """The estimate of a problem whose lambda is chosen."""
@@ -193,14 +227,16 @@ class Deconvolution:
         found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")
         lost = 0.0 if local_variance.told(local) else self._lost(posed, data, found.load)
+        beside = 0.0 if data.filled is None else near_gaps(found.load, data.filled)
         made = answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
             prior=prior or _prior(self.settings) + pushes,
-            flags=[*self._flags(posed, choice, data, found), guards.lost_response(lost)],
+            flags=[*self._flags(posed, choice, data, found), guards.lost_response(lost), guards.hit_beside_gap(beside)],
             searched=posed.judged, full=posed.full, free=self._free,
             solved=None if pushed is not None else posed.path, judged=not prior, spare=self._spare(posed, data),
         )  # fmt: skip
-        return expecting(made, np.sqrt(lost)) if lost else made
+        gone = GONE if beside > guards.BESIDE_GAP else float(np.sqrt(lost))
+        return expecting(made, gone) if gone else made
 
     def _lost(self, posed: Posed, data: Data, load: NDArray[np.float64]) -> float:
         """Share of the response to the load that was not recorded, which one variance for the whole record hides."""
@@ -296,7 +332,7 @@ class Deconvolution:
 
     def _spare(self, posed: Posed, data: Data) -> Overlooked | None:
         """What the sensors tell of each other: of whole records that start at rest, as h says they do."""
-        whole = not data.missing.any() and len(posed.values) == len(data.values)
+        whole = not data.gaps and len(posed.values) == len(data.values)
         if not (whole and self.settings.resting and len(data.rows) > posed.h.shape[2]):
             return None
         return of_record(posed.h, data.values, data.dt, posed.noise, data.channels)

@@ -160,6 +160,7 @@ def _over_lines(posed: Posed, spectrum: Spectrum, load: Array, asked: bool = Fal
         return prior
     if not (asked or prior.asked_for):
         return Learned(prior, posed, False)
+    prior = prior.with_gaps()
     if posed.gains is None:
         return Learned(prior, posed, True)
     return Learned(prior.with_gains(posed.gains.covariance), posed, True, posed.gains.names)

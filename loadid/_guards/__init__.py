@@ -42,9 +42,11 @@ from .inversion import (
     window_missed,
 )
 from .measurement import (
+    BESIDE_GAP,
     contradicting,
     gaps,
     high_pass,
+    hit_beside_gap,
     interpolated,
     inverse_crime,
     lost_channels,
@@ -59,10 +61,10 @@ from .measurement import (
 )
 
 __all__ = [
-    "absolute_lambda", "aliased", "allowed", "at_the_end", "between_gauges", "changing_lambda", "collect",
+    "BESIDE_GAP", "absolute_lambda", "aliased", "allowed", "at_the_end", "between_gauges", "changing_lambda", "collect",
     "contradicting", "correlated_noise", "cut_off", "diagonal", "disagreement", "drifting", "fighting", "gaps",
     "gcv_minimum",
-    "high_pass", "in_motion", "index_offset", "interpolated", "inverse_crime", "lost_channels",
+    "high_pass", "hit_beside_gap", "in_motion", "index_offset", "interpolated", "inverse_crime", "lost_channels",
     "lost_response", "memory", "mixed_kinds",
     "needs_white_noise", "no_corner", "no_coverage", "nodal_as_pressure", "noise_source", "not_apart", "not_in_the_set",
     "not_testable",

@@ -15,6 +15,7 @@ from .._results.faults import SensorFault
 CORRELATED = 0.5  # effective over nominal number of data
 LOST = 0.5  # missing share of a channel
 UNHEARD = 0.3  # relative error of a load, as far as its response was lost, from which on it is said
+BESIDE_GAP = 1e-3  # share of the energy of a load about a gap, from which its hit may lie in it
 APART = 1e-6  # singular values of the loads, smallest over largest, below which the difference is rounding
 MOTION = ("velocity", "acceleration", "angular_velocity", "angular_acceleration")  # blind at 0 Hz
 
@@ -138,6 +139,18 @@ def lost_response(share: float) -> Flag | None:
         Evidence("share of the power of the response to the load that fell on missing samples", share, UNHEARD**2),
         f"samples are missing where the load acts: {share:.0%} of what its response would have told are lost, and a "
         "prior that expects the same load everywhere fills the gap with too little of it",
+    )
+
+
+def hit_beside_gap(share: float) -> Flag | None:
+    """W224: a hit lies in a gap, or right beside it; `share` is that of the energy of the load there."""
+    if share <= BESIDE_GAP:
+        return None
+    return Flag(
+        "W224",
+        Evidence("share of the energy of the load that lies in a gap or a pulse beside it", share, BESIDE_GAP),
+        f"samples are missing where a hit acts, or right beside it: {share:.0%} of its energy is there, and what acted "
+        "in the gap is told only by what rings on behind it",
     )
 
 

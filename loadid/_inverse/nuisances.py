@@ -96,15 +96,19 @@ class Marginal:
         """What the step takes from the load."""
         return np.asarray(np.tensordot(self.step, self.pulled, 1))
 
+    @property
+    def scatter(self) -> Array:
+        """Loads (k, ...) whose outer products are the covariance that the parameters add."""
+        w, V = np.linalg.eigh(self.covariance)
+        return np.asarray(np.tensordot((V * np.sqrt(np.maximum(w, 0.0))).T, self.pulled, 1))
+
     @cached_property
     def spread(self) -> Array:
         """Loads (k + 1, ...) whose outer products are what the parameters add to the second moment about the fit.
 
         That is their covariance, and the shift, which the load of the fit does not make.
         """
-        w, V = np.linalg.eigh(self.covariance)
-        scatter = np.tensordot((V * np.sqrt(np.maximum(w, 0.0))).T, self.pulled, 1)
-        return np.concatenate([scatter, self.shift[None]])
+        return np.concatenate([self.scatter, self.shift[None]])
 
 
 def linearised(

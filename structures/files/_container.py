@@ -136,7 +136,7 @@ def split(name: str) -> tuple[str, str | None]:
 
 
 def numbers(values: NDArray[Any], where: str, *, square: bool = False) -> NDArray[Any]:
-    """An array of finite real numbers.
+    """An array of finite real numbers, in the byte order of this machine.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def numbers(values: NDArray[Any], where: str, *, square: bool = False) -> NDArra
             hint="supports stay in the matrices; name them with supports=",
         )
     finite(values, where=where, hint=FAILED)
-    return values
+    return values.astype(values.dtype.newbyteorder("="), copy=False)  # scipy.sparse takes no other order of bytes
 
 
 def assembled(parts: dict[str, NDArray[Any]], form: str, rows: int | None, where: str) -> Any:

@@ -3,7 +3,7 @@
 Beams and plates of `tests.campaigns.impacts` with a damping of 1.5 to 6 %, 1 to 3 sensors, one load. Four hits, half
 sines of 4 to 10 samples, each with a gain of its own (`GAIN`, 1 %), force and responses with noise, give the model, by
 H1; the record that is judged has a gain of its own too, more noise, and 1 to 3 half sines or another load
-(`impacts.ERRORS`). Truth has twice the modes that the band of the records holds and a step ten times finer, behind an
+(`impacts.ERRORS`); "gap": `LOST` samples of all channels are missing anywhere in it. Truth has twice the modes that the band of the records holds and a step ten times finer, behind an
 anti-alias filter.
 """
 
@@ -30,8 +30,8 @@ from .impacts import (
 )
 from .scores import Array, Scored
 
-ERRORS = ("none", "correlated", "slow", "harmonic", "random", "swept")
-HITS, GAIN, FORCE_NOISE = 4, 0.01, 5e-4
+ERRORS = ("none", "correlated", "slow", "harmonic", "random", "swept", "gap")
+HITS, GAIN, FORCE_NOISE, LOST = 4, 0.01, 5e-4, 12
 
 
 def _hit(rng: np.random.Generator, samples: int) -> Array:
@@ -76,8 +76,11 @@ def problem(seed: int, error: str = "none") -> Problem:
     channels = [truth.loads[0], *truth.sensors]
     hits = [Record(t, dt, channels, name=f"hit {i}") for i, t in enumerate(tests)]
     model = MeasuredModel.from_hits(hits, force="F", responses=[s.label for s in truth.sensors])
-    fine = 100 * _history(rng, samples, error)
+    fine = 100 * _history(rng, samples, "none" if error == "gap" else error)
     record, sigma = measured(fine, None)
+    if error == "gap":
+        at = int(rng.integers(samples - LOST))
+        record[at : at + LOST] = np.nan
     groups = ("beam" if beam else "plate", kind, f"{count} sensors", f"error {error}")
     return Problem(model, record, dt, sigma, False, _sampled(fine[:, None]), groups)
 

@@ -74,19 +74,44 @@ def test_density_mean_and_scores_are_those_of_the_dense_gaussian() -> None:
     np.testing.assert_allclose(whole.weight @ each, inverse, rtol=1e-8)
 
 
-@pytest.mark.parametrize("memory", [0.0, 2.0])
-def test_band_is_that_of_the_dense_gaussian_and_travels(memory: float) -> None:
-    whole, columns = periodic(memory)
-    pass_, v = weighed(whole)
+def prior_of(whole: Spectrum, memory: float, pass_: Weighed, v: np.ndarray) -> tuple[LocalLinesPrior, np.ndarray]:
+    """A prior of given variances, and what makes loads of its white input."""
     plain = replace(whole, H=whole.H / whole.filter(memory)[:, None, None])
     fit = LinesFit(plain, memory, ACT, stated=True)
     fit.floor, fit.r = pass_.floor, np.array([0.5, 2.0])
     object.__setattr__(fit, "weighed", lambda: pass_)
     found = LocalLinesPrior(evidence=0.0, memory=memory, stationary=fit, compared=v, correlation=0.0, misfit=0.0,
                             bumps=1, updates=0, fit=fit)  # fmt: skip
-    load, band, _ = found.posterior()
     turn = np.fft.irfft(whole.filter(memory))
-    F = np.kron(np.array([np.roll(turn, k) for k in range(N)]).T, np.eye(LOADS))
+    return found, np.kron(np.array([np.roll(turn, k) for k in range(N)]).T, np.eye(LOADS))
+
+
+@pytest.mark.parametrize("memory", [0.0, 2.0])
+def test_what_stands_in_gaps_tells_nothing(memory: float) -> None:
+    """Against the dense Gaussian of the samples that were recorded."""
+    whole, columns = periodic(memory)
+    filled = np.zeros((N, SENSORS), bool)
+    filled[12:17], filled[30, 0] = True, True
+    whole = replace(whole, filled=filled, weighing=np.ones(whole.Y.shape))
+    pass_, v = weighed(whole)
+    found, F = prior_of(whole, memory, pass_, v)
+    load, band, _ = found.with_gaps().posterior()
+    there = ~filled.ravel()
+    y, K = whole.pull(whole.Y).ravel()[there], columns[there] @ np.diag(v.ravel())
+    Sigma = K @ columns[there].T + np.diag(np.tile([0.5, 2.0], N)[there])
+    covariance = F @ (np.diag(v.ravel()) - K.T @ np.linalg.solve(Sigma, K)) @ F.T
+    np.testing.assert_allclose(load.ravel(), F @ K.T @ np.linalg.solve(Sigma, y), atol=1e-8)
+    np.testing.assert_allclose(band.std.ravel(), np.sqrt(np.diag(covariance)), rtol=1e-6)
+    assert found.with_gaps().gaps is not None
+    assert found.posterior()[1].std.sum() < band.std.sum()
+
+
+@pytest.mark.parametrize("memory", [0.0, 2.0])
+def test_band_is_that_of_the_dense_gaussian_and_travels(memory: float) -> None:
+    whole, columns = periodic(memory)
+    pass_, v = weighed(whole)
+    found, F = prior_of(whole, memory, pass_, v)
+    load, band, _ = found.posterior()
     _, mean, covariance, _ = dense(whole, columns, v)
     covariance = F @ covariance @ F.T
     np.testing.assert_allclose(load.ravel(), F @ mean, atol=1e-9)
@@ -123,6 +148,23 @@ def test_lines_that_are_no_more_than_errors_tell_no_load() -> None:
         there = np.abs(one.truth) > 0.02 * np.abs(one.truth).max()
         assert np.mean((np.abs(found.load - one.truth) < 1.96 * found.std)[there]) > 0.9
         assert np.linalg.norm(found.load - one.truth) < 0.05 * np.linalg.norm(one.truth)  # was .36 to .52
+
+
+@pytest.mark.parametrize("seed", [3433, 3439, 3455])
+@pytest.mark.parametrize("start", [-200, 15])
+def test_a_gap_that_no_hit_is_in_costs_nothing(seed: int, start: int) -> None:
+    """From the end of the record, or from the end of the last hit."""
+    ((one, whole),) = answers("none", range(seed, seed + 1))
+    there = np.abs(one.truth[:, 0]) > 0.05 * np.abs(one.truth).max()
+    at = start + (len(one.record) if start < 0 else int(np.flatnonzero(there)[-1]))
+    record = one.record.copy()
+    record[at : at + 12] = np.nan
+    found = one.inversion().estimate(record, one.dt)
+    assert found.facts["variance"] == whole.facts["variance"] == "local"
+    off, before = (np.linalg.norm((e.load - one.truth)[there]) for e in (found, whole))
+    assert off < 1.3 * before
+    assert np.mean((np.abs(found.load - one.truth) < 1.96 * found.std)[there]) > 0.85
+    assert found.facts["missing"].startswith("12 of 1024 samples of s0")
 
 
 @pytest.mark.parametrize("error", ["slow", "random"])

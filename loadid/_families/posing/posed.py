@@ -441,7 +441,7 @@ def _lines(
     layout = kappa, path.rank, max(path.unknowns - path.rank, 0)
     compare = by_prediction(values, predict)
     return Posed(path, noise.noise, compare, values, PADDED, h[:, data.rows], layout, full, path.unknowns, path,
-                 spectrum=Spectrum.of(path))  # fmt: skip
+                 spectrum=Spectrum.of(path, data.filled))  # fmt: skip
 
 
 def _measured_noise(

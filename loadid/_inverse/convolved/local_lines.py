@@ -79,6 +79,10 @@ class Spectrum:
         Of H, in the unit of the noise over that of the energy of a load spectrum.
     excess : array, shape (lines, m), optional
         Energy of noise beyond one.
+    filled : array of bool, shape (samples, m), optional
+        Samples that were not recorded, and for which something stands.
+    weighing : array, shape (lines, m), optional
+        What lines of data are multiplied by, where such samples are.
     """
 
     H: Lines
@@ -87,9 +91,11 @@ class Spectrum:
     padded: int
     variance: Array | None = None
     excess: Array | None = None
+    filled: NDArray[np.bool_] | None = None
+    weighing: Array | None = None
 
     @classmethod
-    def of(cls, path: SpectralPath) -> Spectrum:
+    def of(cls, path: SpectralPath, filled: NDArray[np.bool_] | None = None) -> Spectrum:
         """That of a path; lines at which the force of the test was zero, and its quotient is none, say nothing.
 
         Nor do those whose FRF is no more than its error: see `structures._testing.spectra.without_error`.
@@ -97,10 +103,11 @@ class Spectrum:
         largest = np.abs(path.H).max(axis=(1, 2), keepdims=True)
         told = largest < QUOTIENT * np.median(largest)
         H, Y = np.where(told, path.H, 0.0), np.where(told[..., 0], path.Y, 0.0)
-        if path.variance is None:
-            return cls(H, Y, path.samples, path.padded, None, path.excess)
-        H, variance = without_error(H, np.where(told, path.samples * path.variance, 0.0))
-        return cls(H, Y, path.samples, path.padded, variance / path.samples, path.excess)
+        weighing, variance = None if filled is None else told[..., 0] / path.root, None
+        if path.variance is not None:
+            H, variance = without_error(H, np.where(told, path.samples * path.variance, 0.0))
+            variance = variance / path.samples
+        return cls(H, Y, path.samples, path.padded, variance, path.excess, filled, weighing)
 
     @cached_property
     def weight(self) -> Array:
@@ -412,6 +419,7 @@ class LocalLinesPrior(Judgement):
     """A load whose variance changes with time, learned from lines; attributes as of `local_prior.LocalPrior`."""
 
     fit: LinesFit
+    gaps: Marginal | None = None
 
     @cached_property
     def pass_(self) -> Weighed:
@@ -430,7 +438,9 @@ class LocalLinesPrior(Judgement):
         kept = np.eye(len(floor)) - floor[:, None] * w.shared
         lines = one.samples * np.abs(filter_[:, None, None]) ** 2 * kept * floor
         carried = filter_[:, None, None] * kept
-        band = LocalLinesPosterior(lines, carried, w.root[0], w.act, one.samples, one.padded)
+        band: Posterior = LocalLinesPosterior(lines, carried, w.root[0], w.act, one.samples, one.padded)
+        if self.gaps is not None:
+            load, band = load - self.gaps.shift, WidenedPosterior(band, self.gaps.scatter)
         return load, band if errors is None else WidenedPosterior(band, errors.spread), None
 
     def resolved(self, load: Array) -> Array:
@@ -452,6 +462,31 @@ class LocalLinesPrior(Judgement):
         rest, noise = np.abs(self.pass_.R * self.pass_.of_data[1]) ** 2, np.clip(self.fit.r, 1.0, LOUDER)
         left = (varying * rest - excused * np.abs(self.fit.whole.Y) ** 2) / (noise + self.fit.energy)
         return float(np.sum(np.maximum(self.fit.whole.weight @ left, 0.0)))
+
+    def with_gaps(self) -> LocalLinesPrior:
+        """The prior without what stands for samples that were not recorded: each is an unknown of its own.
+
+        With ``Q = K^-1`` of all data and E of one at such samples, these are wrong by ``(E'QE)^-1 E'Q y``.
+        """
+        one, filled, weighing = self.fit.whole, self.fit.whole.filled, self.fit.whole.weighing
+        if filled is None or weighing is None:
+            return self
+        at, sensors = np.nonzero(filled)
+        turn = np.arange(len(weighing)) * (-2j * np.pi / one.padded)
+
+        def there(E: Lines) -> Array:
+            return np.asarray(one.samples * fft.irfft(weighing * E, one.padded, axis=0)[at, sensors])
+
+        known, pulled = np.empty((len(at),) * 2), np.empty((len(at), one.samples, one.H.shape[2]))
+        for i, (t, s) in enumerate(zip(at, sensors, strict=True)):
+            lines = np.zeros(one.Y.shape, complex)
+            lines[:, s] = weighing[:, s] * np.exp(turn * t)
+            _, E, white = self.pass_.estimate(lines)
+            known[i], pulled[i] = there(E), self.fit.load(white)
+        w, V = np.linalg.eigh((known + known.T) / 2)
+        covariance = (V / np.maximum(w, ROUNDING * w[-1])) @ V.T
+        wrong = covariance @ there(self.pass_.of_data[1])
+        return replace(self, gaps=Marginal(wrong, covariance, wrong, pulled, 0.0, 1.0))
 
     def with_gains(self, covariance: Array) -> LocalLinesPrior:
         """The prior with errors of the gains in its band, as far as the data do not rule them out, (m, m)."""

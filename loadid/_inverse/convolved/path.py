@@ -412,7 +412,7 @@ class SpectralPath(FactoredPath):
             raise InputError("NaN or inf in the model, the record or its noise", where="spectral path",
                              expected="finite numbers", hint="leave out or repair the samples")  # fmt: skip
         # spectra are divided by sqrt(samples): noise has unit energy on each line, and lambda keeps its meaning in time
-        root = np.sqrt(power)
+        self.root = root = np.sqrt(power)
         self.H = H * (np.sqrt(self.samples) / root)[..., None]
         self.Y = fft.rfft(y, self.padded, axis=0) / root
         self.U, c, Vh = np.linalg.svd(self.H, full_matrices=False)
