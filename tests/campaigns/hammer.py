@@ -3,8 +3,8 @@
 Beams and plates of `tests.campaigns.impacts` with a damping of 1.5 to 6 %, 1 to 3 sensors, one load. Four hits, half
 sines of 4 to 10 samples, each with a gain of its own (`GAIN`, 1 %), force and responses with noise, give the model, by
 H1; the record that is judged has a gain of its own too, more noise, and 1 to 3 half sines or another load
-(`impacts.ERRORS`); "gap": `LOST` samples of all channels are missing anywhere in it. Truth has twice the modes that the band of the records holds and a step ten times finer, behind an
-anti-alias filter.
+(`impacts.ERRORS`); "gap": `LOST` samples of all channels are missing anywhere in it. Truth has twice the modes that the
+band of the records holds and a step ten times finer, behind an anti-alias filter.
 """
 
 from __future__ import annotations
