@@ -50,7 +50,7 @@ PROCESS = (
 )  # which a penalty on differences of that order is the prior of
 
 MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
-FILLED, FILLED_VALUES = 600, 2**24  # samples that are filled at most; these times the size of the record
+FILLED, FILLED_VALUES = 600, 2**23  # samples that are filled at most; these times the size of the record
 GONE = 0.5  # of a hit in a gap, which nothing tells but what rings on behind it
 FILLINGS = 2  # with a variance that is learned, whatever asks for it
 LITTLE = 0.1  # of the response, in what windows leave beyond the noise, that errors of the model make

@@ -42,6 +42,8 @@ def test_what_is_too_short_is_a_straight_line() -> None:
 
 def test_energy_beside_a_gap() -> None:
     load, missing = np.zeros((100, 2)), np.zeros((100, 1), bool)
-    missing[50:55], load[43, 0], load[20, 0], load[20, 1] = True, 1.0, 3.0, 1.0
+    missing[50:56], load[43, 0], load[20, 0], load[20, 1] = True, 1.0, 3.0, 1.0
     assert near_gaps(load, missing) == 0.1
     assert near_gaps(0 * load, missing) == 0
+    missing[52] = False  # two short ones
+    assert near_gaps(load, missing) == 0
