@@ -93,12 +93,12 @@ main(sys.argv[1:])
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
-def test_a_killed_training_goes_on_when_the_command_is_run_again(folder, tmp_path, monkeypatch, caplog):
-    """It is killed behind its first epoch of two: the second alone is left."""
+def test_a_killed_training_goes_on_when_the_command_is_run_again(folder, tmp_path, monkeypatch, caplog, capsys):
+    """It is killed behind its first epoch of two: the second alone is left. Settings that were changed are refused."""
     pytest.importorskip("torch")
     from loadid._learning.network import engine
 
-    brief = engine.Schedule(epochs=2)
+    brief, longer = engine.Schedule(epochs=2), engine.Schedule(epochs=3)
     monkeypatch.setattr(engine, "Schedule", lambda: brief)
     job, kept = folder / "network.toml", tmp_path / "map.training.h5"
     told = JOB.format(name="brief", seed=2).replace('"loads.toml"', '"brief_loads.toml"').replace("120", "100")
@@ -109,6 +109,11 @@ def test_a_killed_training_goes_on_when_the_command_is_run_again(folder, tmp_pat
     assert subprocess.run([sys.executable, "-c", KILLED, *words], check=False).returncode == -signal.SIGKILL
     assert [p.name for p in tmp_path.iterdir()] == [kept.name]
     first = storage.read(kept, KIND)["losses"]
+    with monkeypatch.context() as edited:
+        edited.setattr(engine, "Schedule", lambda: longer)
+        assert main(words) == 3
+    assert "a checkpoint of another training" in capsys.readouterr().err
+    np.testing.assert_array_equal(storage.read(kept, KIND)["losses"], first)
     with caplog.at_level(logging.INFO, "loadid._learning.network.training"):
         assert main(words) == 0
     assert [record.args[0] for record in caplog.records] == [2]
