@@ -151,6 +151,7 @@ def hit_beside_gap(share: float) -> Flag | None:
         Evidence("share of the energy of the load that lies in a gap or a pulse beside it", share, BESIDE_GAP),
         f"samples are missing where a hit acts, or right beside it: {share:.0%} of its energy is there, and what acted "
         "in the gap is told only by what rings on behind it",
+        advice="record it again where its size matters",
     )
 
 
