@@ -169,21 +169,20 @@ class Deconvolution:
         return settled(self.model, data, self._pose, self._choose, self._in_motion)
 
     def _filled(self, data: Data) -> Data:
-        """In gaps of a record of measured FRFs the response to the hits that the rest tells; other loads leave them.
+        """In gaps of a record of measured FRFs the response to the load that the rest tells.
 
-        FRFs with their errors go by lines, which are of whole records; `LocalLinesPrior.with_gaps` then takes what
-        stands in the gaps for unknown.
+        FRFs with their errors go by lines, which are of whole records; their solution takes what stands in the gaps for
+        unknown.
         """
         s, lost = self.settings, int(data.missing.sum())
-        free = (s.unasked or s.local) and s.lam.path == "auto" and s.support is None and s.signed is False
+        free = not s.truncated and s.lam.path == "auto" and s.support is None and s.signed is False
         if not (self.model.sampled and free and 0 < lost <= FILLED and lost * data.values.size <= FILLED_VALUES):
             return data
         none = np.zeros_like(data.missing)
         whole = replace(data, values=bridged(data.values, data.missing), missing=none, filled=data.missing)
-        for variance in (*FILLINGS * ("local",), s.penalty.variance):
+        hits = FILLINGS * ("local",) if s.unasked or s.local else ()
+        for variance in (*hits, s.penalty.variance):
             made = self._quietly(whole, variance)
-            if made.facts.get("variance") != "local":
-                return data
             expected = np.asarray(made.response) - made.residual
             whole = replace(whole, values=np.where(data.missing, expected, data.values))
         return whole
@@ -226,8 +225,9 @@ class Deconvolution:
             found = local_variance.widened(found, states(), choice)
         found = self._held_to_windows(found, data, anywhere)
         self._progress(1.0, "done")
-        lost = 0.0 if local_variance.told(local) else self._lost(posed, data, found.load)
-        beside = 0.0 if data.filled is None else near_gaps(found.load, data.filled)
+        told_hits = local_variance.told(local)
+        lost = 0.0 if told_hits else self._lost(posed, data, found.load)
+        beside = near_gaps(found.load, data.filled) if told_hits and data.filled is not None else 0.0
         made = answer(
             self, data, found, choice, known=posed.noise.known, settings=self._settings(posed),
             prior=prior or _prior(self.settings) + pushes,
@@ -240,7 +240,7 @@ class Deconvolution:
 
     def _lost(self, posed: Posed, data: Data, load: NDArray[np.float64]) -> float:
         """Share of the response to the load that was not recorded, which one variance for the whole record hides."""
-        missing = data.missing[-len(posed.values) :]
+        missing = (data.missing if data.filled is None else data.filled)[-len(posed.values) :]
         if not missing.any() or len(load) != len(missing):
             return 0.0
         return histories.lost_response(posed.h, missing, posed.noise.std, load)

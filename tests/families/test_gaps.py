@@ -3,6 +3,7 @@
 import numpy as np
 
 from loadid._families.gaps import bridged, near_gaps
+from tests.campaigns import hammer
 
 T = np.arange(900)
 
@@ -47,3 +48,17 @@ def test_energy_beside_a_gap() -> None:
     assert near_gaps(0 * load, missing) == 0
     missing[52] = False  # two short ones
     assert near_gaps(load, missing) == 0
+
+
+def test_a_load_that_goes_on_is_open_in_a_gap_and_as_before_elsewhere() -> None:
+    for seed, kind in ((5015, "random"), (5028, "harmonic")):
+        one = hammer.problem(seed, kind)
+        record = one.record.copy()
+        record[500:512] = np.nan
+        whole, found = (one.inversion().estimate(y, one.dt) for y in (one.record, record))
+        gap, far = slice(500, 512), np.abs(np.arange(len(record)) - 506) > 60
+        assert found.facts["variance"] == whole.facts["variance"] == "constant"
+        np.testing.assert_allclose(found.load[far], whole.load[far], atol=0.1 * np.abs(whole.load).max())
+        np.testing.assert_allclose(found.std[far], whole.std[far], rtol=0.3)
+        assert np.mean(np.abs(found.load - one.truth)[gap] < 1.96 * found.std[gap]) > 0.9
+        assert found.std[gap].mean() > 1.2 * whole.std[gap].mean()

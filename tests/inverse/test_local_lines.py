@@ -13,6 +13,7 @@ from loadid._inverse.convolved.local_lines import LinesFit, LocalLinesPrior, Spe
 from loadid._inverse.convolved.path import SpectralPath
 from loadid._inverse.posterior import from_arrays
 from structures import InputError, MeasuredModel
+from structures._testing.spectra import padded_length
 from tests.campaigns import hammer
 
 N, SENSORS, LOADS = 48, 2, 2
@@ -229,3 +230,29 @@ def test_a_line_that_was_divided_by_nothing_leaves_its_neighbours() -> None:
     assert found.H[30] == 0
     alone = np.abs(np.delete(found.H, 30)) / np.sqrt(64)
     np.testing.assert_allclose(alone, 1.0, rtol=1e-3)
+
+
+def test_what_stands_in_gaps_tells_nothing_under_one_variance() -> None:
+    """Against the dense ridge of the padded record without the rows that were not recorded."""
+    rng = np.random.default_rng(8)
+    samples, sigma, lam = 24, 0.3, 0.05
+    h = rng.standard_normal((samples, 2, 1)) * np.exp(-np.arange(samples) / 4)[:, None, None]
+    y, filled = rng.standard_normal((samples, 2)), np.zeros((samples, 2), bool)
+    filled[9:13], filled[20, 1] = True, True
+    padded = padded_length(samples)
+    H = np.fft.rfft(h, padded, axis=0)
+    path = SpectralPath(H, y, np.full((len(H), 2), samples * sigma**2), filled=filled)
+    found = path.solution(lam, 1.0)
+    full = np.concatenate([h, np.zeros((padded - samples, 2, 1))])
+    T = np.stack([np.roll(full, k, axis=0)[..., 0] for k in range(padded)], axis=-1).reshape(-1, padded) / sigma
+    data, there = np.zeros((padded, 2)), np.ones((padded, 2), bool)
+    data[:samples], there[:samples] = y / sigma, ~filled
+    A, b = T[there.ravel()], data.ravel()[there.ravel()]
+    stacked = np.vstack([A, lam * path.scale * np.eye(padded)])
+    g = np.linalg.lstsq(stacked, np.concatenate([b, np.zeros(padded)]), rcond=None)[0]
+    R = np.linalg.qr(stacked, mode="r")
+    std = np.linalg.norm(np.linalg.inv(R), axis=1)
+    np.testing.assert_allclose(found.load[:, 0], g[:samples], atol=1e-9)
+    np.testing.assert_allclose(found.posterior.std[:, 0], std[:samples], rtol=1e-7)
+    assert np.all(SpectralPath(H, y, np.full((len(H), 2), samples * sigma**2)).solution(lam, 1.0).posterior.std
+                  < found.posterior.std)  # fmt: skip

@@ -427,6 +427,7 @@ def _lines(
         variance=variance,
         excess=noise.excess,
         truncated=settings.truncated,
+        filled=data.filled,
     )
     full = None
     if len(data.rows) < H.shape[1]:

@@ -45,6 +45,7 @@ from ..local_prior import (
 )
 from ..nuisances import Marginal, marginal
 from ..posterior import Posterior, SpectralPosterior, WidenedPosterior
+from .gaps import unrecorded
 from .path import Lines, SpectralPath
 
 Array = NDArray[Any]
@@ -464,29 +465,17 @@ class LocalLinesPrior(Judgement):
         return float(np.sum(np.maximum(self.fit.whole.weight @ left, 0.0)))
 
     def with_gaps(self) -> LocalLinesPrior:
-        """The prior without what stands for samples that were not recorded: each is an unknown of its own.
-
-        With ``Q = K^-1`` of all data and E of one at such samples, these are wrong by ``(E'QE)^-1 E'Q y``.
-        """
-        one, filled, weighing = self.fit.whole, self.fit.whole.filled, self.fit.whole.weighing
-        if filled is None or weighing is None:
+        """The prior without what stands for samples that were not recorded: each is an unknown of its own."""
+        one = self.fit.whole
+        if one.filled is None or one.weighing is None:
             return self
-        at, sensors = np.nonzero(filled)
-        turn = np.arange(len(weighing)) * (-2j * np.pi / one.padded)
 
-        def there(E: Lines) -> Array:
-            return np.asarray(one.samples * fft.irfft(weighing * E, one.padded, axis=0)[at, sensors])
-
-        known, pulled = np.empty((len(at),) * 2), np.empty((len(at), one.samples, one.H.shape[2]))
-        for i, (t, s) in enumerate(zip(at, sensors, strict=True)):
-            lines = np.zeros(one.Y.shape, complex)
-            lines[:, s] = weighing[:, s] * np.exp(turn * t)
+        def solve(lines: Lines) -> tuple[Lines, Array]:
             _, E, white = self.pass_.estimate(lines)
-            known[i], pulled[i] = there(E), self.fit.load(white)
-        w, V = np.linalg.eigh((known + known.T) / 2)
-        covariance = (V / np.maximum(w, ROUNDING * w[-1])) @ V.T
-        wrong = covariance @ there(self.pass_.of_data[1])
-        return replace(self, gaps=Marginal(wrong, covariance, wrong, pulled, 0.0, 1.0))
+            return E, self.fit.load(white)
+
+        rest = self.pass_.of_data[1]
+        return replace(self, gaps=unrecorded(one.filled, one.weighing, one.samples, one.padded, solve, rest))
 
     def with_gains(self, covariance: Array) -> LocalLinesPrior:
         """The prior with errors of the gains in its band, as far as the data do not rule them out, (m, m)."""

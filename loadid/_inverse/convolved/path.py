@@ -17,10 +17,12 @@ from structures.errors import InputError, NotIdentifiable
 
 from ..convolution import PenalizedConvolution
 from ..interpolation import STEP, HermiteTable, Traces, logs
+from ..nuisances import Marginal
 from ..path import FactoredPath, PathPoint, RegularizationPath, Solution
 from ..penalties import symbol
-from ..posterior import SpectralPosterior
+from ..posterior import Posterior, SpectralPosterior, WidenedPosterior
 from . import posterior as probes
+from .gaps import unrecorded
 from .pcg import Circulant, Reached, Sides, largest, refined, solve
 from .posterior import SWEPT, ConvolvedPosterior, Moments, chain, columns, moments, profile, slopes
 
@@ -390,13 +392,15 @@ class SpectralPath(FactoredPath):
         Variance of H; widens the posterior.
     excess : array, shape (lines, sensors), optional
         Noise energy beyond `power` on single lines: it does not enter the weights, but widens the posterior.
+    filled : array of bool, shape (samples, sensors), optional
+        Samples that were not recorded, and for which something stands: a solution takes them for unknown.
     """
 
     zero_padded = True
 
     def __init__(
         self, H: Array, y: Array, power: Array, *, penalty: str = "identity", variance: Array | None = None,
-        excess: Array | None = None, truncated: bool = False,
+        excess: Array | None = None, truncated: bool = False, filled: Mask | None = None,
     ) -> None:  # fmt: skip
         self.samples, sensors = y.shape
         self.padded = padded_length(self.samples)
@@ -440,6 +444,7 @@ class SpectralPath(FactoredPath):
         )
         self.shape = (lines, modes)
         self.unknowns = self.samples * loads
+        self.filled = filled
 
     def _refuse_unseen_constant(self, c: Array) -> None:
         least = float(c[0].min() / c.max()) if c.shape[1] == self.H.shape[2] and c.max() > 0 else 0.0
@@ -470,9 +475,24 @@ class SpectralPath(FactoredPath):
         """Load history (samples, loads) and its posterior, FRF variance included."""
         G = self.spectrum(lam)
         load = fft.irfft(G, self.padded, axis=0)[: self.samples]
+        gaps = None if self.filled is None or not self.smooth else self._gaps(lam, self.filled)
+        load = load if gaps is None else load - gaps.shift
         if sigma is None:
             return Solution(load, None)
-        return Solution(load, SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded))
+        band: Posterior = SpectralPosterior(self._covariance(lam, sigma, G), self.samples, self.padded)
+        return Solution(load, band if gaps is None else WidenedPosterior(band, sigma * gaps.scatter))
+
+    def _gaps(self, lam: float, filled: Mask) -> Marginal:
+        """What samples that were not recorded may be wrong by, for noise of unit level."""
+        c = self.c.reshape(self.shape)
+        gain = c / (c**2 + (lam * float(self.scale) * self.penalty_lines[:, None]) ** 2)
+
+        def solve(Y: Lines) -> tuple[Lines, Array]:
+            G = np.einsum("klr,kr->kl", self.V, gain * np.einsum("ksr,ks->kr", self.U.conj(), Y))
+            left = Y - np.einsum("ksl,kl->ks", self.H, G)
+            return left, fft.irfft(np.sqrt(self.samples) * G, self.padded, axis=0)[: self.samples]
+
+        return unrecorded(filled, 1 / self.root, self.samples, self.padded, solve, solve(self.Y)[0])
 
     def resolve(self, load: Array, lam: float) -> Array:
         """What would be estimated from the noise-free response of `load` (samples, loads)."""
