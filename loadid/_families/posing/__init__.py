@@ -50,7 +50,7 @@ def pose(model: Model, data: Data, settings: PosingSettings) -> Posed:
     ``auto``: dense up to some thousand unknowns, where penalties are matrices, and without regularisation; beyond, and
     for missing samples, offsets of channels or an initial state, the state-space path of a model with a few dozen
     states, else convolution, of a long record in windows.
-    Measured models go by lines, which carry the errors of their FRFs, and by convolution for missing samples and signs;
+    Measured models go by lines, which carry the errors of their FRFs, and by convolution for long gaps and signs;
     the truncated SVD by dense matrix or by lines.
 
     Raises
