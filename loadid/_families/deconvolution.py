@@ -52,6 +52,7 @@ PROCESS = (
 MUCH = 0.05  # of the response, in the residual of a load in windows, that is looked into
 FILLED, FILLED_VALUES = 600, 2**23  # samples that are filled at most; these times the size of the record
 GONE = 0.5  # of a hit in a gap, which nothing tells but what rings on behind it
+SHARE = 0.25  # of the record that is filled at most: the noise is told by the residual of all of it
 FILLINGS = 2  # with a variance that is learned, whatever asks for it
 LITTLE = 0.1  # of the response, in what windows leave beyond the noise, that errors of the model make
 
@@ -64,7 +65,8 @@ class Deconvolution:
     SVD, longer ones by recursions over the state space of the model, or by convolution where it has none, in windows
     beyond 50 000 samples, with a bound on what that changes; the result says which. Measured models go line by line
     over the zero-padded spectrum, which carries the errors of their FRFs and is right where the response decays within
-    the record (flag W505 says when it does not).
+    the record (flag W505 says when it does not); of gaps, up to 600 samples and a quarter of the record, every sample is an
+    unknown there.
 
     Parameters
     ----------
@@ -176,7 +178,8 @@ class Deconvolution:
         """
         s, lost = self.settings, int(data.missing.sum())
         free = not s.truncated and s.lam.path == "auto" and s.support is None and s.signed is False
-        if not (self.model.sampled and free and 0 < lost <= FILLED and lost * data.values.size <= FILLED_VALUES):
+        few = 0 < lost <= FILLED and lost * data.values.size <= FILLED_VALUES and lost <= SHARE * data.values.size
+        if not (self.model.sampled and free and few):
             return data
         none = np.zeros_like(data.missing)
         whole = replace(data, values=bridged(data.values, data.missing), missing=none, filled=data.missing)
