@@ -65,8 +65,8 @@ class Deconvolution:
     SVD, longer ones by recursions over the state space of the model, or by convolution where it has none, in windows
     beyond 50 000 samples, with a bound on what that changes; the result says which. Measured models go line by line
     over the zero-padded spectrum, which carries the errors of their FRFs and is right where the response decays within
-    the record (flag W505 says when it does not); of gaps, up to 600 samples and a quarter of the record, every sample is an
-    unknown there.
+    the record (flag W505 says when it does not); every sample of their gaps is an unknown, of up to 600 samples and a
+    quarter of the record.
 
     Parameters
     ----------
