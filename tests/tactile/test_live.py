@@ -186,12 +186,13 @@ def test_a_camera_that_was_gone_is_opened_again(monkeypatch: pytest.MonkeyPatch)
     here.eye.pixel = 1e-4  # type: ignore[union-attr,misc]
     with Live(here, 0) as live:
         assert live._live
-        found = [next(live) for _ in range(4)]
+        found = [next(live)]
+        while "ends" not in said(found, "no image"):  # how many frames that takes is the machine's affair
+            found.append(next(live))
     assert len(opened) >= 3
     assert [f.number for f in found] == sorted(f.number for f in found)
     assert live.counts["dead"] >= 10  # reads that failed, and the word that it is gone
-    assert said(found, "no image") == ["begins", "ends"] * (len(said(found, "no image")) // 2)
-    assert said(found, "no image")
+    assert said(found, "no image") == ["begins", "ends"]
     assert abs(found[0].time - time.time()) < 60  # the clock of this machine
 
 
