@@ -165,6 +165,7 @@ GRADIENT = Loose(1e-8, "the iteration ends at a gradient of 1e-12, that for trac
 SOLVED = Loose(1e-7, "scalars and traces are solved to 1e-9, and the slope of a rule's function divides them")
 PLAIN = Loose(1e-6, "windows are solved to 1e-7 where only sums are asked for")
 PUSHED = Loose(1e-7, "each step of the active set is solved to 1e-9, times the condition number of the free loads")
+CLIMBED = Loose(1e-6, "variances climb by updates until the evidence gains little")
 SHARP = Loose(1e-8, "the rule takes a lambda of 2e-8, whose inverse multiplies rounding")
 for path in ("dense", "statespace", "toeplitz", "windows", "fft"):
     bare = path in ("toeplitz", "windows")
@@ -262,8 +263,7 @@ for path in ("dense", "statespace"):
 deconvolution("dense/window, first_difference/given", path="dense", penalty="first_difference", choice=LAM,
               support=[(0.0, 0.02), PULSE])  # fmt: skip
 deconvolution("statespace/window, non-negative/given", choice=LAM, support=PULSE, constraints=[NonNegative()])
-deconvolution("statespace/smooth", Loose(1e-6, "variances climb by updates until the evidence gains little"),
-              variance="smooth")  # fmt: skip
+deconvolution("statespace/smooth", CLIMBED, variance="smooth")
 
 
 def automatic(**settings: Any) -> Answer:
@@ -274,14 +274,14 @@ def automatic(**settings: Any) -> Answer:
     return Answer(found.arrays, found.words | {"chosen": [e.facts.chosen.split(":")[0]]})
 
 
-add("automatic/history", automatic, Loose(1e-6, "variances climb by updates until the evidence gains little"))
+add("automatic/history", automatic, CLIMBED)
 add("automatic/window", lambda: automatic(support=PULSE))
 add("automatic/static", lambda: answer(AutomaticInversion(chain(), sensors=["d5"], noise=1e-6).estimate({"d5": 1e-3})))
 add("deconvolution/dense/least squares", unpenalised)
 add("deconvolution/offset", offset)
 add("deconvolution/moving load", crossing)
 add("deconvolution/hammer model/given", lambda: from_hits(choice=LAM))
-add("deconvolution/hammer model/default", from_hits)
+add("deconvolution/hammer model/default", from_hits, CLIMBED)
 add("deconvolution/hammer model/toeplitz", lambda: from_hits(path="toeplitz", choice=LAM), GRADIENT)
 
 
