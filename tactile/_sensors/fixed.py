@@ -34,9 +34,10 @@ from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
 from .local import ContactFit, LocalLoad
+from .looks import Undetected
 from .marked import ContactLaw
 from .observation import Markers, Wrench
-from .search import score
+from .search import WORTH, score
 
 MANY = 12  # markers from which one can be told to contradict the others
 STRAYS = 20  # of them that are left out, at most
@@ -243,6 +244,11 @@ class QuickMap:
         found = self.pressed(steady, None, answer) if self.contact.constrains else None
         load = answer.load if found is None else found.load
         hidden = not quick and wrench is None and about is None  # so may be a load
+        if hidden and self.contacts is not None:
+            noisy = self.contacts.erring(steady / inverse.noise, wide)
+            unseen = self.contacts.undetected(steady / inverse.noise / noisy).times(noisy)
+            if not self.normal and not self._everywhere(steady, noisy):
+                return self._undetected(steady, unseen, found, (strays, misfit), shift)
         told = answer.load if hidden else load  # a contact that is not seen makes no band smaller
         variance, covariance = band.std(told, wide) ** 2, band.covariance(told, wide)
         if answer.std is not inverse.std:  # readings are lost: the posterior says how much wider it all is
@@ -269,7 +275,7 @@ class QuickMap:
             apart = inverse.resultant @ (load - told)
             covariance = covariance + self._blind(inverse.resultant @ told) + np.outer(apart, apart)
         if self.contacts is not None and hidden:
-            covariance[2, 2] += wide**2 * self.contacts.hidden(steady / inverse.noise / wide)
+            covariance[2, 2] += unseen.wrench[2, 2] + float(inverse.resultant[2] @ unseen.load) ** 2
         done = self._answered(steady, load, np.sqrt(variance), covariance, (strays, misfit), found, flags, shift, about)
         return replace(done, noise=np.minimum(wide * np.sqrt(band.noise), done.std))
 
@@ -318,6 +324,24 @@ class QuickMap:
         load = about.load if found is None else found.load
         flags = [guards.unseen(self.recovery, layer=True)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
+
+    def _everywhere(self, y: Array, wide: float) -> bool:
+        """Whether readings (m,), NaN where lost, ask for loads all over the surface, as they must for a contact."""
+        assert self.contacts is not None
+        z = y / self.inverse.noise / wide
+        return bool(np.isfinite(z).all()) and self._even(z) > self.contacts.nothing(z) + WORTH
+
+    def _undetected(
+        self, steady: Array, unseen: Undetected, found: Pressed | None, checked: tuple[int, float],
+        shift: ImageShift | None,
+    ) -> FrameAnswer:  # fmt: skip
+        """What a contact may be that readings in the plane do not show, wherever the image has moved to."""
+        load = unseen.load if found is None else found.load
+        off = load - unseen.load
+        felt = self.inverse.resultant @ off
+        flags = [guards.unseen(self.recovery)]
+        std, wrench = np.sqrt(unseen.variance + off**2), unseen.wrench + np.outer(felt, felt)
+        return self._answered(steady, load, std, wrench, checked, found, flags, shift)
 
     def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""

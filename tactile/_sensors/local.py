@@ -27,6 +27,7 @@ from .discs import keep, shares
 from .evidence import DiscModel, Fitted, Local
 from .gaussian import around
 from .inversion import Answer, Pressed, RegionSolver
+from .looks import SEVERAL, Undetected
 from .search import ContactSearch, score
 
 GRAIN, BESIDE = 0.2, 1.6  # of the load within so many pitches: std of what a mesh cannot tell of one node
@@ -119,10 +120,14 @@ class ContactFit(ContactSearch):
             keep(self._parts, key, part, PARTS)
         return self._parts[key]
 
-    def hidden(self, z: Array) -> float:
-        """Mean square (N^2) of the normal force of one contact anywhere, by readings (m,), NaN where lost."""
+    @one_thread()
+    def undetected(self, z: Array) -> Undetected:
+        """A contact anywhere that readings (m,), NaN where lost, do not show, the resultant by its long tail."""
         seen = np.isfinite(z)
-        return super().hidden(z) if seen.all() else self.on(seen).hidden(z[seen])
+        if not seen.all():
+            return self.on(seen).undetected(z[seen])
+        found = super().undetected(z)
+        return replace(found, wrench=_stretched(found.wrench, np.sqrt(SEVERAL) * _reach(*found.cases)))
 
     @one_thread()  # its matrices are too small to be shared
     def __call__(self, z: Array, wide: float = 1.0, level: float = -np.inf) -> LocalLoad | None:
@@ -148,8 +153,9 @@ class ContactFit(ContactSearch):
         made = R @ load
         variance = square - load**2 + self._grain(load)
         wrench = wrench - np.outer(made, made)
-        longer = np.maximum(_reach(cases, R) / np.sqrt(np.maximum(np.diag(wrench), np.finfo(float).tiny)), 1.0)
-        wrench = np.outer(longer, longer) * wrench + WHOLE**2 * np.outer(made, made)
+        weights, means = np.array([c[0] for c in cases]), np.array([R @ c[1] for c in cases])
+        stds = np.sqrt(np.maximum([np.diag(c[3]) for c in cases], np.finfo(float).tiny))
+        wrench = _stretched(wrench, _reach(weights, means, stds)) + WHOLE**2 * np.outer(made, made)
         F = made[:3]  # in size by the line before, in direction by this one
         wrench[:3, :3] += WHOLE**2 * (float(F @ F) * np.eye(3) - np.outer(F, F))
         best = max(found, key=score)
@@ -336,13 +342,11 @@ def _likely(found: list[Fitted]) -> tuple[tuple[float, Fitted], ...]:
     return tuple(zip((weights / weights.sum()).tolist(), best, strict=True))
 
 
-def _reach(cases: list[tuple[float, Array, Array, Array]], R: Array) -> Array:
-    """Std (6,) of a normal law about the mean of the resultant that holds 95 % of these cases to either side.
+def _reach(weights: Array, means: Array, stds: Array) -> Array:
+    """Std (q,) of a normal law about the mean of cases, (k,) and (k, q), that holds 95 % of them to either side.
 
     A force that is told by its shear has a long tail: it is a small shear over a ratio that is hardly known.
     """
-    weights, means = np.array([c[0] for c in cases]), np.array([R @ c[1] for c in cases])
-    stds = np.sqrt(np.maximum([np.diag(c[3]) for c in cases], np.finfo(float).tiny))
     middle, out = weights @ means / np.sum(weights), np.zeros(means.shape[1])
     for sign in (1.0, -1.0):
         low, high = np.zeros_like(out), np.max(np.abs(means - middle) + 10 * stds, axis=0)
@@ -352,6 +356,12 @@ def _reach(cases: list[tuple[float, Array, Array, Array]], R: Array) -> Array:
             low, high = np.where(inside < ONE_SIDE, half, low), np.where(inside < ONE_SIDE, high, half)
         out = np.maximum(out, high / Z95)
     return out
+
+
+def _stretched(covariance: Array, std: Array) -> Array:
+    """A covariance (q, q) whose std are at least these (q,), correlations kept."""
+    longer = np.maximum(std / np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny)), 1.0)
+    return np.asarray(np.outer(longer, longer) * covariance)
 
 
 def _pressing(felt: Array, mean: Array, spread: Array, counts: list[int]) -> float:

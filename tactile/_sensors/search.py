@@ -7,16 +7,15 @@ are known, or one of them is split, as long as the readings ask for it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from .._arrays import Array
-from .discs import GROWING, SMALLEST, STEP, Disc, DiscWindows
+from .discs import GROWING, SMALLEST, STEP, Disc
 from .evidence import SIZES, DiscModel, Fitted
+from .looks import COARSE, FirstLook
 
-COARSE = 3  # steps between discs of the first look
-LOOKED, LOOKS = 6, 2  # modes of these; places that are followed
+LOOKS = 2  # places of the first look that are followed
 MOST = 3  # contacts
 UNSEEN = 1e-3  # of the variance of noise, which a direction has at most that is left out
 WORTH = 8.0  # log evidence that a contact must bring: what its place, radius, size and ratios are worth by chance
@@ -32,7 +31,7 @@ NOTHING = np.empty((0, 3))  # sizes and ratios of no disc
 
 
 @dataclass(eq=False)
-class ContactSearch(DiscWindows):
+class ContactSearch(FirstLook):
     """Finds the contacts of a frame."""
 
     def model(self, discs: tuple[Disc, ...], z: Array | None = None) -> DiscModel:
@@ -40,62 +39,15 @@ class ContactSearch(DiscWindows):
         return DiscModel(self, discs, 0.0 if z is None else UNSEEN / max(float(z @ z), 1.0))
 
     # -- search -------------------------------------------------------------------------------------------------------
-    @cached_property
-    def _looks(self) -> tuple[list[Disc], Array, Array, Array]:
-        """Discs of the first look, their columns (m, discs * c) turned to their own axes, and variances (discs, c).
-
-        And normal forces (discs, 1 + c): the square of one per unit of size, and its parts along these axes.
-        """
-        h = STEP * self.thickness
-        half = [int(r / h / COARSE) * COARSE for r in self.reach]
-        radius = round(np.log(0.7 / SMALLEST) / np.log(GROWING))
-        discs = [Disc(x, y, radius) for x in range(-half[0], half[0] + 1, COARSE)
-                 for y in range(-half[1], half[1] + 1, COARSE)]  # fmt: skip
-        discs = [d for d in discs if self.allowed(d)]
-        share = np.sqrt(self.problem.prior.share)
-        turned, values, felt = [], [], []
-        down = self.problem.resultant[2].reshape(-1, 3)[:, 2]
-        for disc in discs:
-            nodes, modes, _ = self.modes(disc, LOOKED)
-            q = modes.shape[1]
-            A = self.columns(nodes, modes)[:3].reshape(3 * q, -1).T * np.repeat(share, q)
-            A = np.pad(A, ((0, 0), (0, 3 * (LOOKED - q))))
-            U, s, V = np.linalg.svd(A, full_matrices=False)
-            turned.append(U)
-            values.append(s**2)
-            g = np.zeros(3 * LOOKED)
-            g[2 * q : 3 * q] = (down[nodes] @ modes) * share[2]
-            felt.append([g @ g, *(V @ g)])
-        return discs, np.hstack(turned), np.array(values), np.array(felt)
-
-    def _gains(self, z: Array) -> tuple[Array, Array, Array]:
-        """Log evidence (sizes, discs) of one disc of the first look and of a size beside none.
-
-        And the variances of modes over their noise (sizes, discs, c), and readings (m,) along these (discs, c).
-        """
-        discs, columns, values, _ = self._looks
-        on = (columns.T @ z).reshape(len(discs), values.shape[1])
-        v = SIZES[:, None, None] ** 2 * values
-        return 0.5 * np.sum(on**2 * v / (1 + v) - np.log1p(v), axis=2), v, on
-
-    def hidden(self, z: Array) -> float:
-        """Mean square (N^2) of the normal force of one contact anywhere, by the evidence of readings (m,)."""
-        gain, v, on = self._gains(self.model(()).left(z, NOTHING))
-        square, parts = self._looks[3][:, 0], self._looks[3][:, 1:]
-        size = SIZES[:, None]
-        mean = size * np.sum(np.sqrt(v) / (1 + v) * on * parts, axis=2)
-        variance = size**2 * np.maximum(square - np.sum(v / (1 + v) * parts**2, axis=2), 0.0)
-        weights = np.exp(gain - gain.max())
-        return float(np.sum(weights * (mean**2 + variance)) / np.sum(weights))
-
     def look(self, z: Array, known: Fitted) -> list[tuple[Disc, float]]:
         """Discs that explain most of readings (m,) beside known contacts, and log of their size; one of each place."""
-        discs = self._looks[0]
-        gain = self._gains(self.model(known.discs, z).left(z, known.at))[0]
+        discs = [one.disc for one in self.looks]
+        gain = self.gains(self.model(known.discs, z).left(z, known.at))[0]
         best, size = gain.max(axis=0), np.log(SIZES[np.argmax(gain, axis=0)])
         out: list[tuple[Disc, float]] = []
-        for k in np.argsort(-best):
-            if best[k] < best.max() - WORTH or len(out) == LOOKS:
+        wide = np.flatnonzero([d.radius == discs[-1].radius for d in discs])  # a step finds those that are smaller
+        for k in wide[np.argsort(-best[wide])]:
+            if best[k] < best[wide].max() - WORTH or len(out) == LOOKS:
                 break
             if all(np.hypot(discs[k].x - d.x, discs[k].y - d.y) > 2 * COARSE for d, _ in out):
                 out.append((discs[k], float(size[k])))

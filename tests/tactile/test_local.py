@@ -14,8 +14,9 @@ from case_studies.bodies import Patch, surfaces
 from structures._threads import threads
 from tactile import ContactLaw, Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
-from tactile._sensors.evidence import Fitted
+from tactile._sensors.evidence import SIZES, Fitted
 from tactile._sensors.local import SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
+from tactile._sensors.looks import LARGE, LOOKED, SEVERAL, FirstLook
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -270,24 +271,95 @@ def test_the_force_of_noisy_markers_is_that_of_a_grid_of_sizes_and_ratios() -> N
     spread = np.sqrt(weights @ (found**2 + [c[3][2, 2] for c in cases]) - (weights @ found) ** 2)
     assert abs(weights @ found - middle) < 0.2 * std
     assert np.isclose(spread, std, rtol=0.2)
-    assert 0.95 * spread < _reach(cases, R)[2] < 2 * spread
+    means, stds = np.array([R @ c[1] for c in cases]), np.array([np.sqrt(np.diag(c[3])) for c in cases])
+    assert 0.95 * spread < _reach(weights, means, stds)[2] < 2 * spread
+
+
+def hidden_press() -> tuple[np.ndarray, np.ndarray]:
+    """Motion (N, 2) under a press that is too light to be found, and its force."""
+    y, force = pressed()
+    light = 0.02 * (y - NOISE * np.random.default_rng(5).standard_normal(y.shape))
+    return light + NOISE * np.random.default_rng(6).standard_normal(y.shape), 0.02 * force
 
 
 def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts() -> None:
     """Where the press is too light to be found, the band holds forces of that order and the true one."""
-    f, (y, force) = fit(), pressed()
-    light = 0.02 * (y - NOISE * np.random.default_rng(5).standard_normal(y.shape))
-    z = (light + NOISE * np.random.default_rng(6).standard_normal(y.shape)).ravel() / NOISE
-    hidden = np.sqrt(f.hidden(z))
+    f, (frame, force) = fit(), hidden_press()
+    z = frame.ravel() / NOISE
+    unseen = f.undetected(z)
     assert f(z) is None
-    assert abs(0.02 * force[2]) < 2 * hidden < 0.02
-    assert np.isclose(np.sqrt(f.hidden(np.where(np.arange(len(z)) < 6, np.nan, z))), hidden, rtol=0.5)
-    frame, pad, law = z.reshape(-1, 2) * NOISE, sensor().pad, ContactLaw(no_pull=True)
+    std = np.sqrt(unseen.wrench[2, 2])
+    assert abs(force[2]) < 2 * std < 0.02
+    lost = f.undetected(np.where(np.arange(len(z)) < 6, np.nan, z))
+    assert np.isclose(np.sqrt(lost.wrench[2, 2]), std, rtol=0.5)
+    pad, law = sensor().pad, ContactLaw(no_pull=True)
     free = sensor().estimate(frame).resultant()
+    assert np.all(np.abs(free.value - force) < 2 * free.std)
     held = MultilayerPad(pad, Markers(markers(), NOISE, "XY"), contact=law, choice=0.03).estimate(frame).resultant()
     assert not held.value.any()
     assert np.all(held.std >= free.std)  # that a contact only presses tells nothing of one that is not seen
     assert np.all(held.std <= free.std + np.abs(free.value))
+
+
+def test_a_press_that_nothing_shows_is_the_same_wherever_the_image_has_moved_to() -> None:
+    """A shift and a turn of the image, which is an unknown, change no load that is not found."""
+    frame = hidden_press()[0]
+    turned = frame + np.array([40e-6, -25e-6]) + 2e-3 * np.column_stack([-markers()[:, 1], markers()[:, 0]])
+    one, other = (sensor().estimate(seen) for seen in (frame, turned))
+    assert any(f.code == "LID-W611" for f in other.flags)
+    assert np.allclose(one.load, other.load, atol=1e-3 * one.std.max())
+    assert np.allclose(one.std, other.std, rtol=1e-3)
+
+
+def test_what_readings_do_not_show_is_the_average_over_discs_and_sizes_by_dense_covariances() -> None:
+    """Weights, means and mean squares of loads in some discs of the first look, of every size."""
+    f, z = fit(), hidden_press()[0].ravel() / NOISE
+    R, P = f.problem.resultant, len(f.places)
+    share, still = np.sqrt(f.problem.prior.share), np.eye(len(z)) + f.moved @ f.moved.T
+    logs, means, seconds, forces, spreads, there = ([] for _ in range(6))  # type: ignore[var-annotated]
+    for one in f.looks[:: len(f.looks) // 7]:
+        nodes, modes, _ = f.modes(one.disc, LOOKED)
+        columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+        B = np.einsum("kq,ab->kaqb", modes, np.diag(share)).reshape(3 * len(nodes), -1)
+        A = f.problem.whitened[:, columns] @ B
+        down = np.linalg.norm(R[2, columns] @ B)
+        for size in SIZES:
+            S = still + size**2 * A @ A.T
+            mean = size**2 * A.T @ np.linalg.solve(S, z)
+            spread = size**2 * np.eye(A.shape[1]) - size**4 * A.T @ np.linalg.solve(S, A)
+            logs.append(-0.5 * z @ np.linalg.solve(S, z) - 0.5 * np.linalg.slogdet(S)[1] + LARGE * np.log(size * down))
+            load, second, near = np.zeros(3 * P), np.zeros(3 * P), np.zeros(3 * P)
+            load[columns], near[columns] = B @ mean, 1.0
+            second[columns] = np.diag(B @ spread @ B.T) + (B @ mean) ** 2
+            means.append(load)
+            seconds.append(second)
+            there.append(near)
+            forces.append(R @ load)
+            spreads.append(R[:, columns] @ B @ spread @ B.T @ R[:, columns].T)
+    w = np.exp(np.array(logs) - max(logs))
+    w /= w.sum()
+    f = replace(f)
+    f.looks = f.looks[:: len(f.looks) // 7]
+    found = FirstLook.undetected(f, z)
+    mean, force, near = w @ np.array(means), w @ np.array(forces), w @ np.array(there)
+    assert np.allclose(found.load, mean, atol=1e-6 * np.abs(mean).max())
+    wrench = np.einsum("k,kij->ij", w, np.array(spreads) + np.einsum("ki,kj->kij", forces, forces))
+    size = np.sqrt(np.diag(found.wrench))
+    both = SEVERAL * (wrench - np.outer(force, force))
+    assert np.allclose(found.wrench / np.outer(size, size), both / np.outer(size, size), atol=1e-6)
+    own = near > 0
+    about = (w @ np.array(seconds) - 2 * mean * (w @ np.array(means)))[own] / near[own] + mean[own] ** 2
+    assert np.allclose(found.variance[own], about, rtol=1e-5, atol=1e-9 * about.max())
+
+
+def test_loads_all_over_the_surface_are_no_contact_that_is_hidden() -> None:
+    """An even push of the whole pad is read as it was: by loads anywhere."""
+    s, nodes = sensor(), len(sensor().geometry["coordinates"])
+    push = np.zeros((nodes, 3))
+    push[:, 0] = 400.0 * np.cos(2 * np.pi * s.geometry["coordinates"][:, 0] / SIZE[0])
+    y = s.model.H @ push.ravel() + NOISE * np.random.default_rng(2).standard_normal(len(s.model.H))
+    assert s._quick_map(True)._everywhere(y, 1.0)
+    assert not s._quick_map(True)._everywhere(hidden_press()[0].ravel(), 1.0)
 
 
 def test_a_contact_that_only_presses_is_the_average_over_discs() -> None:
