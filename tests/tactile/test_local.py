@@ -289,7 +289,7 @@ def test_a_force_that_readings_hide_is_in_the_band_of_a_frame_without_contacts()
     unseen = f.undetected(z)
     assert f(z) is None
     std = np.sqrt(unseen.wrench[2, 2])
-    assert abs(force[2]) < 2 * std < 0.02
+    assert abs(force[2]) < 2 * std < 0.2 * abs(pressed()[1][2])
     lost = f.undetected(np.where(np.arange(len(z)) < 6, np.nan, z))
     assert np.isclose(np.sqrt(lost.wrench[2, 2]), std, rtol=0.5)
     pad, law = sensor().pad, ContactLaw(no_pull=True)
@@ -339,7 +339,7 @@ def test_what_readings_do_not_show_is_the_average_over_discs_and_sizes_by_dense_
     w = np.exp(np.array(logs) - max(logs))
     w /= w.sum()
     f = replace(f)
-    f.looks = f.looks[:: len(f.looks) // 7]
+    f._made = fit()._made[:: len(fit().looks) // 7]
     found = FirstLook.undetected(f, z)
     mean, force, near = w @ np.array(means), w @ np.array(forces), w @ np.array(there)
     assert np.allclose(found.load, mean, atol=1e-6 * np.abs(mean).max())
