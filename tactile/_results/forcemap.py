@@ -60,7 +60,7 @@ def curved_normals(places: Array, cells: Index | None) -> Array | None:
     return at_nodes(places, cells)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ForceMap(LoadEstimate):
     """A contact force field on the surface of a pad, with its uncertainty.
 
@@ -73,6 +73,11 @@ class ForceMap(LoadEstimate):
     facts: ForceFacts = field(default_factory=ForceFacts)
 
     kind_of_facts: ClassVar[type[Facts]] = ForceFacts
+
+    def __repr__(self) -> str:
+        *frames, loads = self.load.shape
+        told = f"{frames[0]} frames" if frames else "no surface" if self.geometry is None else f"{self.resultant()}"
+        return f"<{type(self).__name__}, {loads // 3} nodes, {told}; {len(self.flags)} flags>"
 
     @property
     def provided(self) -> Mapping[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,13 @@ def test_it_is_a_load_estimate(found: ForceMap) -> None:
     assert isinstance(found, LoadEstimate)
     assert found.load.shape == found.std.shape == (3 * pad().points,)
     assert set(found.units) == {"Pa"}
+
+
+def test_it_is_printed_in_one_line(found: ForceMap) -> None:
+    force = str(found.resultant())
+    assert repr(found) == f"<ForceMap, {pad().points} nodes, {force}; {len(found.flags)} flags>"
+    assert f"{pad().points} nodes, 2 frames" in repr(record([found, found]))
+    assert "no surface" in repr(replace(found, geometry=None))
 
 
 def test_forces_are_the_boundary_mass_times_tractions(found: ForceMap) -> None:
