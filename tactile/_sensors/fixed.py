@@ -341,7 +341,8 @@ class QuickMap:
         felt = self.inverse.resultant @ off
         flags = [guards.unseen(self.recovery)]
         std, wrench = np.sqrt(unseen.variance + off**2), unseen.wrench + np.outer(felt, felt)
-        return self._answered(steady, load, std, wrench, checked, found, flags, shift)
+        done = self._answered(steady, load, std, wrench, checked, found, flags, shift)
+        return replace(done, facts=replace(done.facts, path=f"{done.facts.path}, no contact found"))
 
     def _steadied(self, y: Array, wide: float = 1.0) -> tuple[Array, ImageShift | None]:
         """Readings without what moved all of them, and what that was."""

@@ -119,7 +119,8 @@ class FirstLook(DiscWindows):
 
     def nothing(self, z: Array) -> float:
         """Log evidence of readings (m,) where nothing presses and the image may have moved."""
-        return DiscModel(self, ()).evidence(float(z @ z), DiscModel(self, ()).told(z), np.empty(0)).value
+        model = DiscModel(self, ())
+        return model.evidence(float(z @ z), model.told(z), np.empty(0)).value
 
     def undetected(self, z: Array) -> Undetected:
         """A contact anywhere that readings (m,) do not show."""
