@@ -345,21 +345,23 @@ def taken(hidden: Array, resultant: Array, covariance: Array) -> Flag | None:
     )  # fmt: skip
 
 
-def unseen(share: float, layer: bool = False) -> Flag | None:
+def unseen(share: float, contacts: bool = False) -> Flag | None:
     """W608: of a plain press as wide as the pad is thick only a share of its force would be found, without noise.
 
-    Of a `layer` that is read by motion in its plane alone the thickness is not told either.
+    Where `contacts` make good the rest their band holds it; how thick the gel is their readings do not tell either.
     """
     if share >= SEEN:
         return None
+    seen = f"of a press as wide as the pad is thick {100 * share:.0f} % of the normal force would be found"
     return Flag(
         "W608",
         Evidence("share of a normal force that would be found", share, SEEN),
-        f"of a press as wide as the pad is thick {100 * share:.0f} % of the normal force would be found: the readings "
-        "or the penalty hide the rest, and no band shows it",
-        "measure the normal motion (a depth map, markers in depth), or take a smaller lambda"
-        + ("; state how well the thickness is known (tolerances=), which motion in the plane does not tell" * layer),
-    )
+        f"{seen} by loads anywhere: the rest follows from what contacts may be, and the band holds how well it is told"
+        if contacts else f"{seen}: the readings or the penalty hide the rest, and no band shows it",
+        "measure the normal motion (a depth map, markers in depth)"
+        + ("; state how well the thickness is known (tolerances=), which motion in the plane does not tell" if contacts
+           else ", or take a smaller lambda"),
+    )  # fmt: skip
 
 
 def no_map(numbers: int) -> Flag:
@@ -479,6 +481,16 @@ def contacts_open(chances: Mapping[int, float]) -> Flag | None:
         f"most likely {count} contact{'' if count == 1 else 's'} ({most:.0%}), but the readings leave open {words}",
         "measure normal motion, or press harder; two contacts that are read as one share its place and its band",
     )  # fmt: skip
+
+
+def contact_hidden(force: float) -> Flag:
+    """N618: no contact is found in readings in the plane, which hide a press of up to `force` (N)."""
+    return Flag(
+        "N618",
+        Evidence("normal force in N that a hidden contact may have", force, "a contact that is found"),
+        f"no contact is found; readings in the plane hide a press of up to {force:.2g} N",
+        "press harder, or measure the normal motion (a depth map, markers in depth)",
+    )
 
 
 # -- a gel in use -----------------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ from .evidence import EvenEvidence
 from .gaussian import ForceBand, GaussianProblem
 from .image import ImageFit, ImageShift
 from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, met, prepare
-from .local import ContactFit, LocalLoad
+from .local import Z95, ContactFit, LocalLoad
 from .looks import Undetected
 from .marked import ContactLaw
 from .observation import Markers, Wrench
@@ -322,7 +322,7 @@ class QuickMap:
             z = steady / self.inverse.noise
             found = self.contacts.pressed(z, about, self.contact.friction, self.normals)
         load = about.load if found is None else found.load
-        flags = [guards.unseen(self.recovery, layer=True)]
+        flags = [guards.unseen(self.recovery, contacts=True)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
 
     def _everywhere(self, y: Array, wide: float) -> bool:
@@ -339,8 +339,9 @@ class QuickMap:
         load = unseen.load if found is None else found.load
         off = load - unseen.load
         felt = self.inverse.resultant @ off
-        flags = [guards.unseen(self.recovery)]
         std, wrench = np.sqrt(unseen.variance + off**2), unseen.wrench + np.outer(felt, felt)
+        most = max(Z95 * float(np.sqrt(wrench[2, 2])) - float(self.inverse.resultant[2] @ load), 0.0)
+        flags = [guards.unseen(self.recovery, contacts=True), guards.contact_hidden(most)]
         done = self._answered(steady, load, std, wrench, checked, found, flags, shift)
         return replace(done, facts=replace(done.facts, path=f"{done.facts.path}, no contact found"))
 

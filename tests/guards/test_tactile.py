@@ -93,6 +93,17 @@ def flattened(dome: bool) -> tuple[Flag, ...]:
     return MultilayerPad(flat, Markers(points, 2e-6, "XYZ"), choice=0.05).estimate(seen).flags
 
 
+def in_the_plane(force: float) -> tuple[Flag, ...]:
+    """Flags of a press on a flat gel by markers in the plane under a contact prior, or of the gel at rest."""
+    gel, rng = Pad(size=(12e-3, 12e-3), thickness=4e-3, E=147e3, nu=0.45), np.random.default_rng(1)
+    line = np.arange(-5e-3, 5.5e-3, 1e-3)
+    points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    u = 2e-6 * rng.standard_normal((len(points), 3))
+    if force:
+        u += motion_of(points, DomePress(at=(0.6e-3, -0.4e-3), radius=2.5e-3, force=force, shear=0.08), pad=gel)
+    return MultilayerPad(gel, Markers(points, 2e-6), choice=0.05).estimate(u[:, :2]).flags
+
+
 def hertz(thickness: float) -> tuple[Flag, ...]:
     """Flags of a Hertz contact on a pad, or its refusal."""
     found: list[Flag] = []
@@ -144,6 +155,8 @@ CASES = [
     Case("W615", lambda: flattened(dome=True), lambda: flattened(dome=False), "times as much of the readings"),
     Case("N617", lambda: one(guards.contacts_open({1: 0.57, 2: 0.43})),
          lambda: one(guards.contacts_open({1: 0.995, 2: 0.005})), r"1 contact \(57%\).* 2"),
+    Case("N618", lambda: in_the_plane(0.0), lambda: in_the_plane(0.4), "no contact is found; .*hide a press of up to"),
+    Case("W608", lambda: in_the_plane(0.4), lambda: mapped(choice=1e-3).flags, "the band holds", "contacts"),
     Case("W705", lambda: one(guards.gain_or_shape(0.8, 0.999, 0.01, 0.5)),
          lambda: one(guards.gain_or_shape(1.01, 0.9999, 0.001, 0.5)), "0.8"),
     Case("W706", lambda: one(guards.other_calibration(OLD, NEW)), lambda: one(guards.other_calibration(NEW, OLD)),
