@@ -15,7 +15,7 @@ from structures._threads import threads
 from tactile import ContactLaw, Markers, MultilayerPad, Pad, Tolerances
 from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import SIZES, Fitted
-from tactile._sensors.local import SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
+from tactile._sensors.local import CELL, SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
 from tactile._sensors.looks import LARGE, LOOKED, SEVERAL, FirstLook
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
@@ -394,13 +394,28 @@ def test_a_contact_that_only_presses_is_the_average_over_tempered_likelihoods(mo
     found = f.pressed(z, local, 0.8)
     assert np.allclose(asked, [z / wide / times for times in TEMPERED])
     assert min(TEMPERED) > 1.0
-    tempered = [replace(local, likely=((1.0, g),), wide=wide * t) for g, t in zip(fits[1:], TEMPERED, strict=True)]
+    tempered = [replace(local, likely=((1.0, g),), wide=wide * t) for g, t in zip(fits, (1.0, *TEMPERED), strict=True)]
     parts = [f.within_cone(z, one, 0.8) for one in tempered]
-    assert np.allclose(found.load, np.mean([p.load for p in parts], axis=0))
+    assert np.allclose(found.load, f.cell_means(np.mean([p.load for p in parts], axis=0)))
     assert found.std is local.std  # the band is not tempered
     assert found.wrench is local.wrench
     assert found.steps == sum(p.steps for p in parts)
-    assert np.allclose(f.pressed(z, local, 0.8).load, f.within_cone(z, local, 0.8).load)  # where none is found any more
+    again = f.pressed(z, local, 0.8)  # where none is found any more
+    assert np.allclose(again.load, f.cell_means(f.within_cone(z, local, 0.8).load))
+
+
+def test_means_over_cells_keep_constants_and_forces_and_lie_between_those_of_smooth_and_of_linear_loads() -> None:
+    f, rng = fit(), np.random.default_rng(4)
+    any_load = rng.standard_normal(f.problem.H.shape[1])
+    assert np.allclose(f.cell_means(np.ones_like(any_load)), 1.0)
+    force = f.problem.resultant[:3]
+    assert np.allclose(force @ f.cell_means(any_load), force @ any_load)
+    x, y = f.places[:, :2].T
+    inner = (np.abs(x) < SIZE[0] / 2 - 1.5 * f.pitch) & (np.abs(y) < SIZE[1] / 2 - 1.5 * f.pitch)
+    bent = f.cell_means(np.repeat(x**2 + y**2, 3))[::3] - (x**2 + y**2)
+    steps = np.array([np.diff(np.unique(v.round(9)))[0] for v in (x, y)])
+    assert np.allclose(bent[inner], 2 * CELL * np.sum(steps**2), rtol=1e-6)
+    assert 1 / 24 < CELL < 1 / 8  # int (x + s)^2 ds over a cell, and with straight lines between nodes
 
 
 def test_contacts_are_found_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -429,7 +444,12 @@ def test_a_map_of_markers_along_all_axes_is_nearer_than_either_of_its_parts(monk
     assert np.allclose(found.resultant().value[:3], s.resultant[:3] @ about.load, rtol=1e-6)
     true = patch.density(pad.nodes2d)[:, None] * np.array(patch.force)
     mean, nearest, open_ = (load.reshape(-1, 3) - true for load in (found.load, about.load, anywhere))
-    assert np.linalg.norm(mean) < 0.85 * min(np.linalg.norm(nearest), np.linalg.norm(open_))
+    assert np.linalg.norm(mean) < 0.9 * min(np.linalg.norm(nearest), np.linalg.norm(open_))
+    monkeypatch.setattr(ContactFit, "cell_means", lambda self, load: load)  # as values at the nodes
+    parts.clear()
+    off = np.linalg.norm(s.estimate(seen).load.reshape(-1, 3) - true)
+    assert np.linalg.norm(mean) < 0.99 * off
+    assert np.linalg.norm(nearest) < 0.9 * np.linalg.norm(parts[0].load.reshape(-1, 3) - true)
     under = true[:, 2] != 0
     assert np.mean(np.abs(mean)[under] <= 1.96 * found.std.reshape(-1, 3)[under]) > 0.85
     far = np.hypot(*(markers() - (4e-3, -3e-3)).T) > 7e-3  # a press may be where no marker is seen
