@@ -33,7 +33,7 @@ _PUBLIC = {
     "MarkerTracker": "tactile.vision._tracker",
     "Markers": "tactile._sensors.observation",
     "Mindlin": "tactile._closed.contact",
-    "MultilayerPad": "tactile._sensors.linear",
+    "MultilayerPad": "tactile._sensors.multilayer",
     "Pad": "tactile._pad.pad",
     "Press": "tactile._closed.presses",
     "RigidBody": "tactile._closed.rigid_contact",

@@ -32,8 +32,8 @@ from .._results.pictures import sequence_figure
 from .._results.report import HOW, numbers, page
 from .._sensors.gelslim import GelSlim
 from .._sensors.learned import LearnedSensor
-from .._sensors.linear import MultilayerPad
 from .._sensors.marked import FEWEST, ContactLaw
+from .._sensors.multilayer import MultilayerPad
 from .._sensors.posing import RULES, chosen
 from .._sensors.prior import penalty
 from ._sources import DepthMaps, MarkerSource, depth_maps, look

@@ -23,7 +23,7 @@ from .._arrays import Array
 from .._pad.pad import Pad
 from .._results.forcemap import ForceMap
 from .._sensors.learned import LearnedSensor
-from .._sensors.linear import MultilayerPad
+from .._sensors.multilayer import MultilayerPad
 from .._sensors.observation import Markers
 from ..generate import ContactRange, IndenterRange, PressDeclaration, presses
 from ..vision._images import grid

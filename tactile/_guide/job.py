@@ -26,7 +26,7 @@ from .._commands._sources import DepthMaps, MarkerSource, depth_maps, look
 from .._pad import padfile
 from .._pad.pad import Pad
 from .._pad.table import TomlTable
-from .._sensors.linear import MultilayerPad
+from .._sensors.multilayer import MultilayerPad
 from .._sensors.posing import PadModel
 from .presses import FORCES, KnownPress, presses
 

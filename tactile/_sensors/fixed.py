@@ -1,18 +1,7 @@
-"""Frame after frame at a lambda that is fixed, and whether the markers agree with each other and with the maps.
-
-What the others predict for a reading is known from the inverse alone: its residual over ``1 - A_ii`` (leave-one-out).
-
-W611, a camera or a gel that moved as a whole, is told from a load. A uniform shift of all markers is fitted by a shear
-of the whole surface, so that no residual shows it. But a load acts near a contact, which stands out once the shift of
-most markers is taken off; and what the loads about it do not explain of the markers far from it should be noise. The
-medians over cells as wide as the gel is thick are the data: a multiple of the motion that these loads explain, a shift
-and a turn are fitted to them, and an F test asks whether shift and turn explain more than chance. What scatters beyond
-the noise are errors of the model, which are alike over two thicknesses: they count for a quarter of their number.
-"""
+"""Frame after frame at a lambda that is fixed: the map, its band, and what is said of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -26,8 +15,7 @@ from structures._flags import Flag
 from structures.errors import InputError
 
 from .. import _guards as guards
-from .._arrays import Array, Index, Mask
-from .._results import forcemap
+from .._arrays import Array
 from .._results.forcemap import ForceFacts
 from .evidence import EvenEvidence
 from .gaussian import ForceBand, GaussianProblem
@@ -36,105 +24,9 @@ from .inversion import Answer, Inverse, Pressed, RegionSolver, carried, held, me
 from .local import Z95, ContactFit, LocalLoad
 from .looks import Undetected
 from .marked import ContactLaw
-from .observation import Markers, Wrench
+from .observation import Wrench
 from .search import WORTH, score
-
-MANY = 12  # markers from which one can be told to contradict the others
-STRAYS = 20  # of them that are left out, at most
-STRAY, PART = 10.0, 0.6  # distance over its std or the typical one, and over the largest motion
-BESIDE = 4.0  # and over the second largest distance of its neighbours, which a contact raises alike
-AROUND = 8  # neighbours
-TURNS, ALIKE = 4, 0.5  # of them that may be the other half of a swap; its distance over that of the first
-FREE = 0.02  # 1 - A_ii below which a reading explains itself: no other tells of it
-NORMAL = 1.4826  # standard deviation over median absolute value of a normal law
-
-
-@dataclass(eq=False)
-class Consistency:
-    """Leave-one-out errors of the markers (N, 2) of a frozen inverse; their readings come first, `axes` for each."""
-
-    inverse: Inverse
-    places: Array
-    axes: int
-    near: Index = field(init=False)
-
-    def __post_init__(self) -> None:
-        from scipy.spatial import cKDTree
-
-        rows = len(self.places) * self.axes
-        count = min(AROUND + 1, len(self.places))
-        self.near = np.atleast_2d(cKDTree(self.places).query(self.places, k=count)[1])[:, 1:]
-        self.free = np.maximum(1 - np.diagonal(self.inverse.influence)[:rows], 1e-3)
-        self.judged = np.repeat((self.free.reshape(-1, self.axes) > FREE).all(axis=1), self.axes)
-        # single precision where the products of the map are: it is asked for every frame
-        self.rows = np.ascontiguousarray(self.inverse.influence[:rows], self.inverse.matrix.dtype)
-
-    def checked(self, y: Array) -> tuple[Array, int, float]:
-        """Readings without those of markers that contradict all others, how many these are, and the misfit left.
-
-        One at a time, the worst first, as a stray marker pulls the predictions of its neighbours with it. The misfit is
-        the rms residual of the markers over what their noise lets expect: 1 where model and noise are right.
-        """
-        found, rest = 0, self._rest(y)
-        while len(self.places) >= MANY and found < STRAYS and (worst := self._stray(y, *rest)) is not None:
-            before, y = y, self._left_out(y, worst)
-            partner = self._partner(before, y, worst)
-            y = y if partner is None else self._left_out(y, partner)
-            found += 1 if partner is None else 2
-            rest = self._rest(y)
-        return y, found, self._misfit(*rest[1:])
-
-    def _partner(self, before: Array, y: Array, stray: int) -> int | None:
-        """The neighbour that was taken for the stray marker in turn: as far from its place, if there is one.
-
-        Alone it might explain itself, so it is held against what all others say without both.
-        """
-        far = self._distance(before, y, stray)
-        seen = [int(j) for j in self.near[stray][:TURNS] if np.isfinite(y[j * self.axes])]
-        away = [self._distance(before, self._left_out(y, j), j) for j in seen]
-        return seen[int(np.argmax(away))] if away and max(away) > ALIKE * far else None
-
-    def _distance(self, before: Array, y: Array, marker: int) -> float:
-        """Whitened distance of a marker that was left out from what the others predict for it."""
-        here = slice(marker * self.axes, (marker + 1) * self.axes)
-        return float(np.linalg.norm(before[here] / self.inverse.noise[here] - self.inverse.filled(y)[0][here]))
-
-    def _misfit(self, gone: Mask, rest: Array) -> float:
-        kept = ~gone & self.judged
-        return float(np.sqrt(np.sum(rest[kept] ** 2) / max(np.sum(self.free[kept]), 1.0))) if kept.any() else 0.0
-
-    def _stray(self, y: Array, z: Array, gone: Mask, rest: Array) -> int | None:
-        apart = self._apart(gone, rest)
-        free = self.free.reshape(-1, self.axes)
-        size = np.linalg.norm(apart, axis=1)
-        scaled = size / np.sqrt(np.sum(1 / free, axis=1))
-        worst = int(np.argmax(scaled))
-        moved = np.linalg.norm(z.reshape(-1, self.axes), axis=1).max(initial=0.0)
-        if not size[worst] > PART * moved or not scaled[worst] > STRAY * max(1.0, NORMAL * float(np.median(scaled))):
-            return None
-        others = self._apart(*self._rest(self._left_out(y, worst))[1:])[self.near[worst]]
-        beside = np.sort(np.linalg.norm(others, axis=1))
-        # the second largest: two dots that were swapped are each other's neighbours
-        return worst if size[worst] > BESIDE * beside[-2] else None
-
-    def _left_out(self, y: Array, marker: int) -> Array:
-        y = y.copy()
-        y[marker * self.axes : (marker + 1) * self.axes] = np.nan
-        return y
-
-    def _apart(self, gone: Mask, rest: Array) -> Array:
-        """Whitened distance (markers, axes) from what the others predict."""
-        return np.where(self.judged & ~gone, rest / self.free, 0.0).reshape(-1, self.axes)
-
-    def _rest(self, y: Array) -> tuple[Array, Mask, Array]:
-        """Whitened motion of the markers, which are lost, and the residual."""
-        z, lost = self.inverse.filled(y)
-        count = len(self.free)
-        gone = np.zeros(len(z), bool)
-        gone[lost] = True
-        rest = z[:count] - self.rows @ z.astype(self.rows.dtype, copy=False)
-        return z[:count], gone[:count], np.where(gone[:count], 0.0, rest)
-
+from .strays import Consistency
 
 WIDER = 1.2  # times the stated noise, from which it is taken for wrong
 TOUCH = 0.05  # of the peak pressure of the unconstrained map: where the constrained one looks for contact
@@ -459,130 +351,3 @@ class QuickMap:
         press = np.zeros((len(self.places), 3))
         press[:, 2] = -np.exp(-np.sum((self.places[:, :2] - self.about[:2]) ** 2, axis=1) / self.reach**2)
         return press.ravel()
-
-
-NEAR, FAR = 1.0, 2.0  # thicknesses from the contact: loads that count as its own, markers that it does not reach
-CELLS = 5  # fewest with far markers
-CHANCE = 1e-6  # of so large a motion in a frame at rest
-UNKNOWNS = 3  # shift along X and Y, turn
-SHARING = 4  # cells that share an error of the model
-MEDIAN = np.pi / 2  # variance of a median over that of a mean
-
-
-@dataclass(frozen=True, eq=False)
-class RigidMotion:
-    """A shift (2,) m and a turn (rad) about a point (2,) m, and what makes them more than chance.
-
-    The F statistic, what chance exceeds once in a million frames, and the number of cells of far markers it stands on.
-    """
-
-    shift: Array
-    turn: float
-    about: Array
-    ratio: float
-    threshold: float
-    cells: int
-
-    def field(self, places: Array) -> Array:
-        """In-plane motion (n, 2) in m of places (n, 2)."""
-        x, y = (places - self.about).T
-        return self.shift + self.turn * np.column_stack([-y, x])
-
-
-def typical(motion: Array, noise: Array) -> Array:
-    """Shift (2,) of most markers, the median of their motion (N, 2); zero where it is below their noise."""
-    seen = np.isfinite(motion).all(axis=1)
-    if not seen.any():
-        return np.zeros(2)
-    shift = np.median(motion[seen], axis=0)
-    return np.asarray(shift if np.linalg.norm(shift) > np.sqrt(np.mean(noise**2)) else np.zeros(2))
-
-
-def contact(load: Array, std: Array) -> Mask:
-    """Nodes (P,) that are pressed, of loads (3 P,)."""
-    pressure = -load[2::3]
-    return np.asarray((pressure > forcemap.SHARE * pressure.max(initial=0.0)) & (pressure > forcemap.CLEAR * std[2::3]))
-
-
-def away(
-    motion: Array, explained: Callable[[Mask], Array], touched: Mask, nodes: Array,
-    markers: Array, noise: Array, thickness: float,
-) -> RigidMotion | None:  # fmt: skip
-    """Rigid motion of the markers that the contact does not reach; None where it is chance, or cannot be told.
-
-    `motion` (N, 2) in m is NaN where a marker is lost, `noise` (N, 2) its std; `explained` gives the motion (N, 2) by
-    the loads of a mask of nodes (P,), of which those `touched` are pressed; nodes, markers and thickness of the gel in
-    m.
-    """
-    far, loaded = np.isfinite(motion).all(axis=1), np.zeros_like(motion)
-    if touched.any():
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree(nodes[touched])
-        far &= tree.query(markers)[0] > FAR * thickness
-        if far.any():
-            loaded = explained(tree.query(nodes)[0] <= NEAR * thickness)
-    found = _fitted(motion[far], loaded[far], markers[far], noise[far], thickness)
-    if found is None or found.ratio <= found.threshold:
-        return None
-    size = np.sqrt(np.mean(found.field(markers[far]) ** 2))
-    return found if size > np.sqrt(np.mean(noise[far] ** 2)) else None  # below the noise of one marker it is none
-
-
-def _fitted(motion: Array, loaded: Array, places: Array, noise: Array, side: float) -> RigidMotion | None:
-    """Rigid motion of the medians over cells of a side, beside a multiple of what the loads explain."""
-    from scipy.special import fdtri
-
-    if len(places) < CELLS:
-        return None
-    which = np.unique(np.floor(places / side).astype(int), axis=0, return_inverse=True)[1].ravel()
-    members = [np.flatnonzero(which == k) for k in range(int(which.max()) + 1)]
-    if len(members) < CELLS:
-        return None
-    data, known = (np.array([np.median(v[m], axis=0) for m in members]).T.ravel() for v in (motion, loaded))
-    place = np.array([places[m].mean(axis=0) for m in members])
-    about = place.mean(axis=0)
-    x, y = (place - about).T
-    one, zero = np.ones(len(members)), np.zeros(len(members))
-    rigid = np.vstack([np.column_stack([one, zero, -y]), np.column_stack([zero, one, x])])
-    other = known[:, None] if known.any() else np.empty((len(data), 0))
-    without = _rest(other, data)
-    answer = np.linalg.lstsq(_rest(other, rigid), without, rcond=None)[0]
-    within = _rest(np.column_stack([other, rigid]), data)
-    spare = len(data) - other.shape[1] - UNKNOWNS
-    chance = float(np.mean([MEDIAN ** (len(m) > 2) * np.mean(noise[m] ** 2) / len(m) for m in members]))
-    beyond = max(float(within @ within) / spare - chance, 0.0)
-    variance = chance + SHARING * beyond
-    ratio = float(without @ without - within @ within) / UNKNOWNS / variance
-    threshold = float(fdtri(UNKNOWNS, spare, 1 - CHANCE))
-    return RigidMotion(np.asarray(answer[:2], float), float(answer[2]), about, ratio, threshold, len(members))
-
-
-def _rest(columns: Array, values: Array) -> Array:
-    """What columns do not explain of values, by least squares."""
-    if columns.shape[1] == 0:
-        return values
-    scaled = columns / np.linalg.norm(columns, axis=0)
-    return np.asarray(values - scaled @ np.linalg.lstsq(scaled, values, rcond=None)[0])
-
-
-def whole_motion(
-    motion: Array, load: Array, std: Array, markers: Markers, nodes: Array, thickness: float,
-    alone: Callable[[Callable[[Array], Array]], Array], explained: Callable[[Array], Array], resultant: Array,
-    pixel: float | None,
-) -> Flag | None:  # fmt: skip
-    """W611 of a frame: the in-plane motion (N, 2) of the markers (m), NaN where lost, load and std (3 P,) found of it.
-
-    `alone` takes a motion in the plane as a function of places (n, 2) and gives the load (3 P,) that the map makes of
-    it alone, `explained` takes a load and gives the in-plane motion of the markers under it; nodes (P, 2), thickness of
-    the gel and side of a pixel on the pad in m.
-    """
-    places, noise = markers.points[:, :2], markers.noise[:, :2]
-    shift = typical(motion, noise)
-    local = load - alone(lambda x: np.broadcast_to(shift, x.shape)) if shift.any() else load
-    found = away(motion, lambda near: explained(local * np.repeat(near, 3)), contact(local, std), nodes, places, noise,
-                 thickness)  # fmt: skip
-    if found is None:
-        return None
-    force = resultant[:3] @ alone(found.field)
-    return guards.slipped(found.shift, found.turn, found.ratio, found.threshold, force, pixel)

@@ -29,12 +29,13 @@ from .._closed.contact import Indenter
 from .._pad.stiffness import Completion, surface_stiffness
 from .._results.forcemap import ForceFacts, ForceMap, curved_normals
 from ..vision._interpolation import Interpolation
-from .fixed import CLEAR, TOUCH, whole_motion
+from .fixed import CLEAR, TOUCH
 from .inversion import Answer, RegionSolver, fused
-from .linear import windows
 from .marked import ContactLaw, MarkedSensor, not_built_for_depth, spelled_before
+from .multilayer import windows
 from .observation import DepthMap, Markers, Wrench
 from .posing import StrainWatch, channels, neighbours, of_pad
+from .rigid import whole_motion
 
 if TYPE_CHECKING:
     from .._pad.pad import Pad

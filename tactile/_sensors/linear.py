@@ -6,19 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
 
 from loadid._families.static import StaticInversion
 from loadid._guards import collect
-from loadid._inverse.problem import NoiseSource, NoiseSourceLike
+from loadid._inverse.problem import NoiseSourceLike
 from loadid._results.estimate import LoadEstimate
 from loadid._results.facts import provenance
 from loadid.settings import Noise
-from structures import bases
 from structures._flags import Flag, codes
 from structures._threads import one_thread
 from structures.errors import InputError
@@ -28,17 +26,15 @@ from .._arrays import Array, Mask
 from .._pad.tolerances import Tolerances
 from .._results.forcemap import ForceFacts, ForceMap, curved_normals
 from .discs import keep
-from .errors import errors
-from .fixed import QuickMap, whole_motion
+from .fixed import QuickMap
 from .gaussian import Errors, GaussianProblem, ModelError, around
 from .image import ImageMotion
 from .inversion import Inverse, Pressed, prepare
 from .local import ContactFit
-from .marked import FEWEST, ContactLaw, InversionSettings, MarkedSensor, observed, spelled_before
+from .marked import FEWEST, ContactLaw, MarkedSensor, spelled_before
 from .observation import DepthMap, Depths, Markers, Wrench, stacked
 from .posing import (
     PadModel,
-    StrainWatch,
     calibrated,
     channels,
     chosen_on,
@@ -48,18 +44,17 @@ from .posing import (
     estimated,
     fewer,
     neighbours,
-    of_pad,
     resultant_covariance,
     together,
 )
 from .prior import ContactPrior
+from .rigid import whole_motion
 from .strength import STEP, PressStrength
 
 if TYPE_CHECKING:
     from loadid._families.frozen import Calibration
     from loadid._inverse.choice import Choice
 
-    from .._pad.pad import Pad
     from ..vision._eye import Eye
 
 
@@ -623,100 +618,6 @@ class LinearSensor(MarkedSensor):
         )
 
 
-class MultilayerPad(LinearSensor):
-    """Force maps from the motion of markers on a pad of several layers of finite elements.
-
-    The interior carries no load and is condensed; unknowns are the tractions at the nodes of the surface (bilinear
-    between them), with a ridge or smoothness on them: ``min |R^(-1/2) (H t - y)|^2 + lambda^2 |L t|^2``. In the style
-    of Zhao, Liu & Ma, IEEE Trans. Robotics (2025), whose formulas are not reproduced here.
-
-    Parameters
-    ----------
-    pad : Pad
-    markers : Markers, optional
-        Places at rest (N, 2) or (N, 3), noise and axes of their motion; those of the `eye` where not given.
-    depth : DepthMap, optional
-        A map of the kind that will be measured: its pixel and noise count, its values do not.
-    depth_width : float, optional
-        Side of the windows about the surface nodes over which depth is averaged (m); the pitch of the mesh.
-    eye : Eye, optional
-        Turns images into motion.
-    image : ImageMotion or None
-        What camera and gel may have moved as a whole, beside the load; None if they are known to be fast. Under a
-        contact prior.
-    tolerances : Tolerances
-        How well modulus, Poisson's ratio and thickness of the pad are known; in the band under a contact prior, as is
-        the error of the mesh, and in that of a `LearnedSensor`. One frame does not tell them, and markers in the plane
-        flag no wrong thickness.
-    penalty, choice, noise_source, contact, allow
-        See `tactile._sensors.marked.InversionSettings`; the penalty is a `ContactPrior` where none is given.
-
-    Raises
-    ------
-    InputError
-        Fewer than three markers, markers outside the pad, settings that do not fit.
-    """
-
-    name = "multilayer pad"
-
-    @spelled_before("markers", "contact")
-    def __init__(
-        self,
-        pad: Pad,
-        markers: Markers | ArrayLike | None = None,
-        *,
-        depth: DepthMap | None = None,
-        depth_width: float | None = None,
-        eye: Eye | None = None,
-        image: ImageMotion | None = ImageMotion(),  # noqa: B008  (frozen)
-        tolerances: Tolerances = Tolerances(),  # noqa: B008
-        **settings: Unpack[InversionSettings],
-    ) -> None:
-        self.pad, self._strain = pad, StrainWatch(pad)
-        settings.setdefault("penalty", ContactPrior())
-        if eye is not None:
-            settings.setdefault("noise_source", NoiseSource("quiet", "unloaded frames"))
-        mass = sparse.kron(pad.surface.mass, sparse.eye_array(3)).tocsr()
-        basis = bases.hats(pad.structure, region=pad.surface, components=("+X", "+Y", "+Z"))
-        given = observed(markers, eye)
-        about = {"pad": repr(pad), "markers": len(given)}
-        body = PressedBody(pad, pad.thickness, partial(_rows, pad, mass), of_pad(pad), basis, pad.flags, about,
-                           partial(errors, pad, tolerances, mass), tolerances)  # fmt: skip
-        deep = None if depth is None else windows(pad, depth, depth_width)
-        with alone(3 * pad.points):
-            super().__init__(body, given, eye=eye, depth=deep, image=image, **settings)
-
-    def _gel(self) -> Pad:
-        return self.pad
-
-    def prepare(self) -> None:
-        """As every linear sensor; strain is found beside the loop from here on, and W112 comes some frames late.
-
-        Raises
-        ------
-        InputError
-            Where lambda is not fixed yet.
-        """
-        super().prepare()
-        self._strain.beside = True
-
-    def _checked(self, load: Array) -> list[Flag | None]:
-        return [self._strain.check(self.pad.surface.mass @ load.reshape(-1, 3))]
-
-
 def alone(loads: int) -> AbstractContextManager[None]:
     """One thread for the matrices of so many loads, where these are too small to be shared."""
     return one_thread() if loads < SHARED else nullcontext()
-
-
-def _rows(pad: Pad, mass: Any, points: Array, pick: Callable[[Any], Any]) -> Array:
-    """Rows (rows, 3 P) of the motion of points under tractions, whose nodal forces are `mass` times them."""
-    per_force = pick(pad.from_surface(points)) @ pad.compliance
-    return np.asarray((mass.T @ per_force.T).T)
-
-
-def windows(pad: Pad, depth: DepthMap, width: float | None) -> Depths:
-    """Windows of a depth map about the nodes of the surface, off its rim."""
-    inner = pad.nodes2d[~pad.edge]
-    pitch = float(np.sqrt(np.median(pad.surface.areas[~pad.edge])))
-    return Depths(depth, inner, pitch if width is None else float(width))

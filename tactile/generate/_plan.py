@@ -15,7 +15,7 @@ from .._arrays import Array
 from .._pad import padfile
 from .._pad.pad import Pad
 from .._pad.table import TomlTable
-from .._sensors.linear import MultilayerPad
+from .._sensors.multilayer import MultilayerPad
 from .._sensors.observation import Markers
 from ..vision._detect import Detector
 from ..vision._eye import Eye

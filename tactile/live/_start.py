@@ -18,8 +18,8 @@ from .._closed.presses import Press
 from .._commands._sources import first_eye
 from .._pad import padfile
 from .._pad.pad import Pad
-from .._sensors.linear import MultilayerPad
 from .._sensors.marked import ContactLaw
+from .._sensors.multilayer import MultilayerPad
 from .._sensors.prior import penalty
 from ..vision._eye import Eye
 from ..vision._frames import Frames, each, frames

@@ -27,7 +27,7 @@ from .._pad.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from .._pad.pad import Pad
-    from .._sensors.linear import MultilayerPad
+    from .._sensors.multilayer import MultilayerPad
     from .._sensors.observation import DepthMap
 
 NAMES = ("E", "nu", "thickness")

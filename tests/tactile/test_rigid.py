@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from structures import Flag
 from tactile import Eye, GelForce, GelSlim, Layer, Markers, MultilayerPad, Press, View
-from tactile._sensors.fixed import away
+from tactile._sensors.rigid import away
 
 from .rigs import NOISE, markers, pad, sensor
 
