@@ -213,7 +213,7 @@ class QuickMap:
         if self.contact.constrains:
             z = steady / self.inverse.noise
             found = self.contacts.pressed(z, about, self.contact.friction, self.normals)
-        load = about.load if found is None else found.load
+        load = self.contacts.cell_means(about.load) if found is None else found.load
         flags = [guards.unseen(self.recovery, contacts=True)]
         return self._answered(steady, load, about.std, about.wrench, checked, found, flags, shift, about)
 

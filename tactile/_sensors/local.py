@@ -163,7 +163,7 @@ class ContactFit(ContactSearch):
         by_noise = best.at + np.array([np.log(wide), 0.0, 0.0])  # of what is stated, not of what the model may err by
         rest = float(np.sqrt(self.model(best.discs).unlike(wide * z, by_noise) / len(z)))
         spread = wide * np.sqrt(np.maximum(variance, 0.0))
-        return LocalLoad(wide * self.cell_means(load), spread, wide**2 * wrench, best, rest, _likely(found), wide,
+        return LocalLoad(wide * load, spread, wide**2 * wrench, best, rest, _likely(found), wide,
                          self._regions(found))  # fmt: skip
 
     @staticmethod
