@@ -191,6 +191,7 @@ class TestForeignGel:
         off = {name: [r.map for r in foreign if r.sensor == name] for name in ("and depth", "and depth, no pull")}
         assert max(off["and depth"]) < 0.4
         assert max(off["and depth, no pull"]) < 0.3
+        assert max(r.map for r in foreign if r.sensor == "in the plane") < 0.5
 
     def test_a_pad_that_is_declared_wrong_is_found(self):
         found = foreign_gel.in_situ()

@@ -81,7 +81,7 @@ class ContactSearch(FirstLook):
     def contacts(self, z: Array) -> list[Fitted]:
         """Contacts of whitened readings (m,), and others of nearly their evidence; none where nothing is found."""
         known = self.model((), z).fitted(z, NOTHING)
-        best: list[Fitted] = []
+        best: dict[tuple[Disc, ...], Fitted] = {}
         while len(known.discs) < MOST:
             seen: dict[tuple[Disc, ...], Fitted] = {}
             starts = [f for f in self._one_more(z, known) if f.evidence > known.evidence + HOPEFUL]
@@ -91,14 +91,25 @@ class ContactSearch(FirstLook):
             if not starts:
                 break
             found = max((self.settled(z, f, seen) for f in starts), key=lambda f: f.evidence)
-            best += seen.values()
-            if found.evidence < known.evidence + WORTH:
+            more = found.evidence >= known.evidence + WORTH
+            known = self._fewer(z, found, seen) if more else known
+            best |= {d: f for d, f in seen.items() if d not in best or f.evidence > best[d].evidence}
+            if not more:
                 break
-            known = found
         if not known.discs:
             return []
         level = score(known) + np.log(WEIGHT)
-        return [f for f in best if score(f) > level]
+        return [f for f in best.values() if score(f) > level]
+
+    def _fewer(self, z: Array, found: Fitted, seen: dict[tuple[Disc, ...], Fitted]) -> Fitted:
+        """Contacts, or all but one of them where that is likelier: the first may have been sought in a wrong place."""
+        for j in range(len(found.discs) if len(found.discs) > 1 else 0):
+            discs = (*found.discs[:j], *found.discs[j + 1 :])
+            start = self.model(discs, z).fitted(z, np.delete(found.at, j, axis=0))
+            tried = self.settled(z, start, seen) if start.evidence > found.evidence - BEHIND else start
+            if score(tried) > score(found):
+                return tried
+        return found
 
     def _one_more(self, z: Array, known: Fitted) -> list[Fitted]:
         """Known contacts and one that explains most of what they leave."""

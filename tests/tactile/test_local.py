@@ -17,6 +17,7 @@ from tactile._sensors.discs import OWN, Disc
 from tactile._sensors.evidence import SIZES, Fitted
 from tactile._sensors.local import CELL, SPREAD, TEMPERED, ContactFit, LocalLoad, _reach
 from tactile._sensors.looks import LARGE, LOOKED, SEVERAL, FirstLook
+from tactile._sensors.search import score
 
 E, NU, SIZE, THICK, NOISE = 147e3, 0.45, (14e-3, 12e-3), 3e-3, 3e-6
 
@@ -249,6 +250,25 @@ def test_discs_that_overlap_are_one_contact() -> None:
     found = f._regions(known)
     weights = np.exp([2.0, 2.0, 1.0])
     assert found == pytest.approx({1: weights[:2].sum() / weights.sum(), 2: weights[2] / weights.sum()})
+
+
+def test_a_contact_that_another_makes_needless_is_left_out() -> None:
+    """The likeliest disc and a small one in it, as a search that began with the small one may end."""
+    f, z = fit(), pressed()[0].ravel() / NOISE
+    one = max(f.contacts(z), key=score)
+    assert len(one.discs) == 1
+    small = Disc(one.discs[0].x + 1, one.discs[0].y, 0)
+    pair = f.model((small, *one.discs), z).fitted(z, np.vstack([[7.0, 0.1, 0.1], one.at]))
+    assert score(pair) < score(one)
+    left = f._fewer(z, pair, {})
+    assert left.discs == one.discs
+    assert score(left) >= score(one) - 1e-6
+    assert f._fewer(z, one, {}) is one
+
+
+def test_what_is_found_is_counted_once() -> None:
+    found = fit().contacts(pressed()[0].ravel() / NOISE)
+    assert len({f.discs for f in found}) == len(found)
 
 
 def test_a_frame_at_rest_has_no_contact() -> None:
