@@ -191,7 +191,9 @@ def test_a_camera_that_was_gone_is_opened_again(monkeypatch: pytest.MonkeyPatch)
             found.append(next(live))
     assert len(opened) >= 3
     assert [f.number for f in found] == sorted(f.number for f in found)
-    assert live.counts["dead"] >= 10  # reads that failed, and the word that it is gone
+    assert live.counts["dead"] > 0
+    # reads that failed, and the word that it is gone: a machine that is busy drops some of them
+    assert live.counts["dead"] + live.counts["dropped"] >= 10
     assert said(found, "no image") == ["begins", "ends"]
     assert abs(found[0].time - time.time()) < 60  # the clock of this machine
 
