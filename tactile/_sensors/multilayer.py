@@ -21,10 +21,7 @@ from .image import ImageMotion
 from .linear import LinearSensor, PressedBody, alone
 from .marked import InversionSettings, observed, spelled_before
 from .observation import DepthMap, Depths, Markers
-from .posing import (
-    StrainWatch,
-    of_pad,
-)
+from .posing import StrainWatch, of_pad
 from .prior import ContactPrior
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """Contacts of one frame, found by the evidence of its readings: discs that hold them, one after another.
 
 Where is looked for first on a coarse lattice, then by steps in place and radius. A contact is added beside those that
-are known, or one of them is split, as long as the readings ask for it.
+are known, or one of them is split, as long as the readings ask for it, and left out where the others do without it.
 """
 
 from __future__ import annotations

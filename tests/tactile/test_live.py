@@ -156,12 +156,12 @@ def test_a_camera_that_was_gone_is_opened_again(monkeypatch: pytest.MonkeyPatch)
     from tactile.live import _loop
 
     pictures = [np.full((16, 16), 100, np.uint8)] * 2
-    opened: list[int] = []
+    opened: list[int] = []  # reads without a picture, of every camera
 
     class Camera:
         def __init__(self) -> None:
-            opened.append(1)
-            self.left = list(pictures)
+            opened.append(0)
+            self.left, self.which = list(pictures), len(opened) - 1
 
         def isOpened(self) -> bool:
             return len(opened) != 2  # the second time it is not back yet
@@ -171,6 +171,7 @@ def test_a_camera_that_was_gone_is_opened_again(monkeypatch: pytest.MonkeyPatch)
 
         def read(self) -> tuple[bool, Any]:
             time.sleep(0.01)  # a camera takes its time
+            opened[self.which] += not self.left
             return (True, self.left.pop()) if self.left else (False, None)
 
         def release(self) -> None:
@@ -191,9 +192,10 @@ def test_a_camera_that_was_gone_is_opened_again(monkeypatch: pytest.MonkeyPatch)
             found.append(next(live))
     assert len(opened) >= 3
     assert [f.number for f in found] == sorted(f.number for f in found)
-    assert live.counts["dead"] > 0
-    # reads that failed, and the word that it is gone: a machine that is busy drops some of them
+    assert opened[:2] == [10, 0]  # reads that failed until it is gone; not asked where it is not back
+    # nine of them and the word that it is gone: a machine that is busy drops some
     assert live.counts["dead"] + live.counts["dropped"] >= 10
+    assert live.counts["dead"] > 0
     assert said(found, "no image") == ["begins", "ends"]
     assert abs(found[0].time - time.time()) < 60  # the clock of this machine
 
